@@ -1,0 +1,81 @@
+"""The only place in the project that reads or waits for time.
+
+Two clocks share one small interface: `WallClock` for real-time runs and hardware,
+`StepClock` for lock-step runs, where time is a tick count times a fixed period and
+moves only when somebody moves it. `perf_s` measures durations for reports; nothing
+that decides may use it.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """What every component is given instead of the `time` module."""
+
+    def now(self) -> float:
+        """Present time [s]; wall clocks count from the Unix epoch, step clocks from 0."""
+        ...
+
+    def sleep_until(self, t: float) -> None:
+        """Return when `now() >= t` [s]; a step clock never waits."""
+        ...
+
+
+class WallClock:
+    """Unix time that never runs backwards (anchored once, advanced monotonically)."""
+
+    def __init__(self) -> None:
+        self._offset = time.time() - time.monotonic()
+
+    def now(self) -> float:
+        return time.monotonic() + self._offset
+
+    def sleep_until(self, t: float) -> None:
+        remaining = t - self.now()
+        if remaining > 0.0:
+            time.sleep(remaining)
+
+
+class StepClock:
+    """Simulated time: `tick * period`, exact and identical on every run.
+
+    Args:
+        period: control period [s].
+    """
+
+    def __init__(self, period: float) -> None:
+        self.period = period
+        self.tick = 0
+
+    def now(self) -> float:
+        return self.tick * self.period
+
+    def advance(self, ticks: int = 1) -> None:
+        """Move time forward by `ticks` periods."""
+        self.tick += ticks
+
+    def reset(self) -> None:
+        """Back to time zero."""
+        self.tick = 0
+
+    def sleep_until(self, t: float) -> None:
+        del t  # simulated time does not pass by waiting
+
+
+def perf_s() -> float:
+    """Monotonic seconds for measuring durations; no decision may depend on it."""
+    return time.perf_counter()
+
+
+def to_stamp(t: float) -> tuple[int, int]:
+    """Seconds -> ROS (sec, nanosec), rounded to the nearest nanosecond."""
+    ns = round(t * 1e9)
+    return ns // 1_000_000_000, ns % 1_000_000_000
+
+
+def from_stamp(sec: int, nanosec: int) -> float:
+    """ROS (sec, nanosec) -> seconds."""
+    return sec + nanosec * 1e-9

@@ -1,0 +1,275 @@
+"""Configuration: one YAML file, strictly typed; unknown keys are errors that name the key.
+
+`CellConfig` describes the cell (geometry, devices, limits, timing). The defaults live in
+`urdf/cell.yaml`, the description of the reference cell; a user's file is laid over it.
+Units are SI, angles are radians, positions are in the world frame W (= ROS `base_link`).
+"""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import yaml
+
+from cell.errors import ConfigError
+
+Vec3 = tuple[float, float, float]
+
+
+class _Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of all sections: immutable, and closed to unknown keys."""
+
+
+class ArmConfig(_Strict):
+    """The arm and how it is driven."""
+
+    control_period: float
+    """Period of the node's trajectory executor [s]."""
+    physics_substeps: int
+    """Simulation: physics steps per control period."""
+    lag: float
+    """Simulation: delay between a set-point and the joints following it [s] (servoj lookahead)."""
+    home: tuple[float, float, float, float, float, float]
+    """Joint angles [rad] at which the arm is clear of the belt camera's view."""
+    max_acceleration: float
+    """Joint acceleration limit [rad/s^2] (Universal Robots publishes none)."""
+    velocity_scale: float
+    """Fraction of the URDF's joint speed limits that plans may use."""
+
+
+class GripperConfig(_Strict):
+    """Parallel gripper; defaults are those of the Robotiq 2F-85."""
+
+    stroke: float
+    """Largest distance between the pads [m]."""
+    length: float
+    """Flange to tool centre point [m]."""
+    min_speed: float
+    max_speed: float
+    """Finger speed range, each pad relative to the other [m/s]."""
+    min_force: float
+    max_force: float
+    """Grip force range [N]."""
+    grip_speed: float
+    grip_force: float
+    """What the supervisor asks for when it takes an onion [m/s], [N]."""
+
+
+class BeltConfig(_Strict):
+    """The conveyor: a box along y whose top is where onions lie."""
+
+    top_z: float
+    """Height of the belt's surface [m]."""
+    x: tuple[float, float]
+    """Extent across the belt [m]."""
+    y: tuple[float, float]
+    """Extent along the belt [m]."""
+    pick_x: tuple[float, float]
+    pick_y: tuple[float, float]
+    """The robot's working window on the belt [m]; every pose in it must be reachable."""
+
+
+class BinConfig(_Strict):
+    """The open bin for blemished onions."""
+
+    center: Vec3
+    """Centre of the bin's opening [m]."""
+    size: Vec3
+    """Inner width (x), inner length (y), depth (z) [m]."""
+    drop_height: float
+    """Height of the held onion's centre above the opening when it is let go [m]."""
+
+
+class CameraConfig(_Strict):
+    """An RGB-D camera; X_WC follows from position and target."""
+
+    position: Vec3
+    target: Vec3
+    """The optical axis passes from `position` through `target` [m]."""
+    width: int
+    height: int
+    hfov: float
+    """Horizontal field of view of the colour image [rad]."""
+    rate: float
+    """Frames per second in free-running mode [Hz]; 0: on demand only."""
+    latency: float
+    """Exposure to delivery [s]."""
+    min_depth: float
+    max_depth: float
+    """Depth outside is reported as missing [m]."""
+    depth_baseline: float
+    """Stereo baseline [m]."""
+    depth_focal: float
+    """Focal length of the depth imagers [px]."""
+    disparity_noise: float
+    """Standard deviation of the disparity [px]."""
+    depth_unit: float
+    """Quantum of a depth reading [m]."""
+
+
+class OnionConfig(_Strict):
+    """The produce."""
+
+    diameter: tuple[float, float]
+    """Smallest and largest diameter [m]."""
+    blemished_share: float
+    """Probability that an onion carries blemishes."""
+    spacing: float
+    """Least distance between the centres of neighbours on the belt [m]."""
+
+
+class MotionConfig(_Strict):
+    """Speed and shape of motions."""
+
+    collaborative_speed: float
+    """TCP speed cap beside a person [m/s]."""
+    industrial_speed: float
+    """TCP speed cap when the person is away [m/s]."""
+    speed_margin: float
+    """Plans use this fraction of the TCP cap."""
+    acceleration_margin: float
+    """Plans use this fraction of the joint acceleration limit."""
+    hover: float
+    """Height of the TCP above an onion's centre before and after grasping [m]."""
+    clearance: float
+    """Least distance kept between the arm and the cell's fixed parts when planning [m]."""
+
+
+class SupervisorConfig(_Strict):
+    """The decision loop."""
+
+    ticks_per_cycle: int
+    """Control periods per supervisor tick."""
+    heartbeat_deadline: float
+    """The node stops the arm when the supervisor has been silent for this long [s]."""
+    command_lifetime: float
+    """Commands older than this are refused [s]."""
+    max_frame_age: float
+    """Camera frames older than this are not used [s]."""
+    max_state_age: float
+    """Joint states older than this stop the supervisor [s]."""
+    grasp_attempts: int
+    """Tries per onion before it is set aside as not graspable."""
+    look_attempts: int
+    """Looks before a lost or uncertain detection is acted upon."""
+    score_threshold: float
+    """Least detection score that counts."""
+    round_timeout: float
+    """Longest round [s]."""
+
+
+class CellConfig(_Strict):
+    """The whole cell."""
+
+    name: str
+    """Prefix of all wire keys."""
+    port: int
+    """TCP port of the node's Zenoh endpoint on the loopback interface."""
+    arm: ArmConfig
+    gripper: GripperConfig
+    belt: BeltConfig
+    bin: BinConfig
+    cameras: dict[str, CameraConfig]
+    onions: OnionConfig
+    motion: MotionConfig
+    supervisor: SupervisorConfig
+    renderer: str = "auto"
+    """Simulation: "gl", "tiny", or "auto" (gl where EGL works, else tiny with a warning)."""
+    detector: str = ""
+    """Path of other detector weights (.safetensors); empty: the shipped ones."""
+
+
+def reference_cell() -> Path:
+    """Path of the reference cell's description, `urdf/cell.yaml`."""
+    return Path(str(files("urdf") / "cell.yaml"))
+
+
+def load(path: Path | str | None = None) -> CellConfig:
+    """Read the reference cell, lay the file at `path` over it, and check the result.
+
+    Raises:
+        ConfigError: the file is missing, not YAML, or has unknown, ill-typed or impossible
+            values; the message names the key.
+    """
+    data = _read_yaml(reference_cell())
+    if path is not None:
+        data = _overlay(data, _read_yaml(Path(path)), where="", source=Path(path))
+    config = from_dict(data, source=path or reference_cell())
+    _check(config)
+    return config
+
+
+def from_dict(data: Any, source: object = "configuration") -> CellConfig:
+    """Typed configuration from plain data; raises `ConfigError` naming the offending key."""
+    try:
+        return msgspec.convert(data, CellConfig, strict=False)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{source}: {error}") from None
+
+
+def to_dict(config: CellConfig) -> dict[str, Any]:
+    """Plain data of a configuration (the inverse of `from_dict`)."""
+    return msgspec.to_builtins(config)  # type: ignore[no-any-return]
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        data = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise ConfigError(f"cannot read configuration {path}: {error.strerror}") from None
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path} is not a text file") from None
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path}: expected a mapping of sections at the top level")
+    return data
+
+
+def _overlay(base: dict[str, Any], top: dict[str, Any], where: str, source: Path) -> dict[str, Any]:
+    """Recursive merge in which a key that the base lacks is an error naming the legal ones."""
+    out = dict(base)
+    optional = {"renderer", "detector"} if not where else set()
+    for key, value in top.items():
+        name = f"{where}{key}"
+        if key not in base and key not in optional and where != "cameras.":
+            legal = ", ".join(sorted({*base, *optional}))
+            raise ConfigError(f"{source}: unknown key '{name}'; legal keys here: {legal}")
+        if isinstance(base.get(key), dict):
+            if not isinstance(value, dict):
+                raise ConfigError(f"{source}: '{name}' must be a section, got {value!r}")
+            out[key] = _overlay(base[key], value, f"{name}.", source)
+        else:
+            out[key] = value
+    return out
+
+
+def _check(config: CellConfig) -> None:
+    """Values that types cannot rule out."""
+    belt, motion, arm = config.belt, config.motion, config.arm
+    rules = [
+        (belt.x[0] < belt.x[1] and belt.y[0] < belt.y[1], "belt.x, belt.y: lower < upper"),
+        (
+            belt.x[0] <= belt.pick_x[0] < belt.pick_x[1] <= belt.x[1]
+            and belt.y[0] <= belt.pick_y[0] < belt.pick_y[1] <= belt.y[1],
+            "belt.pick_x, belt.pick_y: a window inside belt.x, belt.y",
+        ),
+        (0 < motion.collaborative_speed <= motion.industrial_speed, "motion.*_speed: 0 < collaborative <= industrial"),
+        (0 < motion.speed_margin <= 1, "motion.speed_margin: in (0, 1]"),
+        (0 < motion.acceleration_margin <= 1, "motion.acceleration_margin: in (0, 1]"),
+        (arm.control_period > 0 and arm.physics_substeps >= 1, "arm.control_period > 0, arm.physics_substeps >= 1"),
+        (arm.max_acceleration > 0 and 0 < arm.velocity_scale <= 1, "arm.max_acceleration > 0, arm.velocity_scale in (0, 1]"),
+        (0 <= arm.lag < 0.5, "arm.lag: in [0, 0.5) s"),
+        (1024 <= config.port <= 65535, "port: 1024..65535"),
+        ("belt" in config.cameras, "cameras: needs one called 'belt'"),
+        (config.onions.diameter[0] <= config.onions.diameter[1] < config.gripper.stroke, "onions.diameter: smallest <= largest < gripper.stroke"),
+        (config.supervisor.ticks_per_cycle >= 1, "supervisor.ticks_per_cycle >= 1"),
+        (config.renderer in ("auto", "gl", "tiny"), "renderer: auto, gl or tiny"),
+        (config.name.replace("_", "").isalnum(), "name: letters, digits and _"),
+    ]
+    for fine, rule in rules:
+        if not fine:
+            raise ConfigError(f"configuration violates: {rule}")

@@ -1,0 +1,170 @@
+"""The simulated backend: the PyBullet cell behind the same interface as the real one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cell.config import CellConfig
+from cell.errors import BackendError, one_of
+from cell.wire.types import (
+    ArmStatus,
+    Array,
+    BeltState,
+    CameraInfo,
+    Frame,
+    GripperState,
+    JointState,
+    Truth,
+)
+from hil.sim.camera import Camera
+from hil.sim.render.renderer import Renderer, make_renderer
+from hil.sim.world import World
+
+_CONTACTS_KEPT = 20
+
+
+class SimBackend:
+    """`hil.backend.Backend` on PyBullet.
+
+    Args:
+        config: the cell.
+        seed, onions: the first batch; see `reset`.
+    """
+
+    name = "sim"
+    steppable = True
+
+    def __init__(self, config: CellConfig, seed: int = 0, onions: int = 15) -> None:
+        self._config = config
+        self._first = (seed, onions)
+        self._world: World | None = None
+        self._renderer: Renderer | None = None
+        self._cameras: dict[str, Camera] = {}
+        self._batch = 0
+        self._fingers_moving = False
+        self._contacts: list[str] = []
+        self._contact_ticks = 0
+
+    # -- life cycle -----------------------------------------------------------------------------
+
+    def connect(self) -> None:
+        if self._world is None:
+            self.reset(*self._first)
+
+    def reset(self, seed: int, onions: int) -> None:
+        """Rebuild the world from `seed` with `onions` onions; simulated time restarts at 0."""
+        self.close()
+        choice = self._config.renderer
+        if choice == "auto":
+            choice = best_renderer()
+        self._world = World(self._config, seed, onions, reference_visuals=choice == "tiny")
+        self._renderer = make_renderer(choice, self._world.client, self._world.scene)
+        self._cameras = {
+            name: Camera(name, camera, seed) for name, camera in self._config.cameras.items()
+        }
+        self._batch = 1
+        self._fingers_moving = False
+        self._contacts, self._contact_ticks = [], 0
+
+    def close(self) -> None:
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+        if self._world is not None:
+            self._world.close()
+            self._world = None
+
+    # -- time and commands ------------------------------------------------------------------------
+
+    @property
+    def world(self) -> World:
+        """The simulated world; raises `BackendError` before `connect`."""
+        if self._world is None:
+            raise BackendError("the simulation is not connected; call connect() first")
+        return self._world
+
+    def now(self) -> float:
+        return self.world.time
+
+    def command_joints(self, q: Array, qd: Array) -> None:
+        self.world.arm.command(self.now() + self._config.arm.control_period, q, qd)
+
+    def command_gripper(self, width: float, speed: float, force: float) -> tuple[float, float, float]:
+        return self.world.gripper.command(width, speed, force)
+
+    def command_belt(self, onions: int, seed: int) -> None:
+        del onions, seed
+        raise BackendError("the simulated belt brings a new batch only by sim/reset")
+
+    def advance(self) -> None:
+        world = self.world
+        self._fingers_moving = world.step()
+        touched = world.forbidden_contacts()
+        if touched:
+            self._contact_ticks += 1
+            if len(self._contacts) < _CONTACTS_KEPT:
+                self._contacts.append(f"{world.time:.3f} s: robot touches {', '.join(touched)}")
+        for camera in self._cameras.values():
+            if camera.wants_exposure(world.time):
+                self._expose(camera)
+
+    # -- measurements -----------------------------------------------------------------------------
+
+    def read_joints(self) -> JointState:
+        q, qd, effort = self.world.arm.measure()
+        return JointState(self.now(), q, qd, effort)
+
+    def read_status(self) -> ArmStatus:
+        return ArmStatus(self.now())
+
+    def read_gripper(self) -> GripperState:
+        gripper = self.world.gripper
+        width, _ = gripper.measure()
+        return GripperState(self.now(), width, gripper.target, self._fingers_moving, gripper.holding)
+
+    def read_belt(self) -> BeltState:
+        return BeltState(self.now(), self._batch, moving=False, speed=0.0)
+
+    def camera_info(self, camera: str) -> CameraInfo:
+        p = self._camera(camera).pinhole
+        return CameraInfo(self.now(), f"camera_{camera}", p.width, p.height, p.fx, p.fy, p.cx, p.cy)
+
+    def request_frame(self, camera: str) -> None:
+        self._expose(self._camera(camera))
+
+    def take_frames(self) -> list[Frame]:
+        now = self.now()
+        return [frame for camera in self._cameras.values() for frame in camera.due(now)]
+
+    def truth(self) -> Truth:
+        """Ground truth for judging the round; the supervisor never decides by it."""
+        world = self.world
+        count = len(world.onions)
+        return Truth(
+            t=self.now(),
+            blemished=np.array([onion.blemished for onion in world.onions], dtype=bool),
+            place=tuple(world.place_of(i) for i in range(count)),
+            p_WO=np.array([world.onion_pose(i)[:3, 3] for i in range(count)]).reshape(count, 3),
+            radius=np.array([onion.radius for onion in world.onions]),
+            arm_contacts=self._contact_ticks,
+            contact_log=tuple(self._contacts),
+        )
+
+    # -- cameras ------------------------------------------------------------------------------------
+
+    def _camera(self, name: str) -> Camera:
+        if name not in self._cameras:
+            raise BackendError(f"camera: {one_of(name, self._cameras)}")
+        return self._cameras[name]
+
+    def _expose(self, camera: Camera) -> None:
+        assert self._renderer is not None
+        image = self._renderer.render(camera.X_WC, camera.pinhole, camera.near, camera.far)
+        camera.expose(self.now(), image)
+
+
+def best_renderer() -> str:
+    """ "gl" where an EGL context can be made, else "tiny"."""
+    from hil.sim.render.renderer import gl_problem
+
+    return "tiny" if gl_problem() else "gl"
