@@ -77,5 +77,5 @@ def to_stamp(t: float) -> tuple[int, int]:
 
 
 def from_stamp(sec: int, nanosec: int) -> float:
-    """ROS (sec, nanosec) -> seconds."""
-    return sec + nanosec * 1e-9
+    """ROS (sec, nanosec) -> seconds, the nearest float: a time sent twice stays what it was."""
+    return (sec * 1_000_000_000 + nanosec) / 1_000_000_000

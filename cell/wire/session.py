@@ -1,87 +1,252 @@
-"""A process's connection to the cell."""
+"""A process's connection to the cell: publish, read the newest, tap, serve and call.
+
+Zenoh's Python callbacks run on threads that the interpreter waits for when it exits, so a
+session left open would hang the process. No callbacks are used here: samples wait in
+rings, and the threads that serve queries or feed taps are daemons of our own.
+"""
 
 from __future__ import annotations
 
+import logging
+import secrets
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
+import zenoh
+
 from cell.config import CellConfig
+from cell.errors import CellError, DecodeError, RefusedError, WireError
+from cell.wire import codec
+from cell.wire.endpoint import ATTACHMENT, BULK, SMALL, first_line, open_client, open_listener
 from cell.wire.keys import Keys
-from cell.wire.reader import Latest, LatestFrame
-from cell.wire.types import Frame
+from cell.wire.reader import Gaps, Latest, LatestFrame, attached
+from cell.wire.types import Frame, Image, Reply
 
 M = TypeVar("M")
 Q = TypeVar("Q")
 
+_log = logging.getLogger("cell.wire")
+
+#: Samples or queries that wait for a slow reader before the oldest is dropped.
+_RING_SMALL, _RING_IMAGES, _RING_QUERIES = 256, 8, 64
+_JOIN_S = 1.0
+
 
 @dataclass(frozen=True)
 class Tapped:
-    """A sample as a tap sees it: undecoded. t [s]; ros_type e.g. "sensor_msgs/msg/Image"."""
+    """A sample as a tap sees it: undecoded.
+
+    Attributes:
+        key: channel it came on. payload: CDR bytes.
+        seq: its sender's sequence number. t: source time [s].
+        ros_type: e.g. "sensor_msgs/msg/Image"; empty if the sender did not say.
+        missed: messages of this sender lost on this channel just before.
+    """
 
     key: str
     payload: bytes
     seq: int
     t: float
     ros_type: str
+    missed: int
+
+
+class _Channel:
+    """A declared publisher with its counter; the lock keeps numbers and sending in order."""
+
+    def __init__(self, publisher: zenoh.Publisher) -> None:
+        self.publisher = publisher
+        self.lock = threading.Lock()
+        self.seq = 0
 
 
 class Session:
-    """Use as a context manager, or call `close`; every method is thread-safe."""
+    """One end of the wire; make it with `listen` or `connect`.
 
-    keys: Keys
+    Use it as a context manager, or call `close`. Every method may be called from any thread.
+
+    Attributes:
+        keys: the cell's channel names.
+    """
+
+    def __init__(self, session: zenoh.Session, config: CellConfig) -> None:
+        self.keys = Keys(config.name)
+        self._session = session
+        self._sender = secrets.randbits(63)
+        self._lock = threading.Lock()
+        self._closed = False
+        self._channels: dict[str, _Channel] = {}
+        self._declared: list[zenoh.Subscriber[Any] | zenoh.Queryable[Any]] = []
+        self._threads: list[threading.Thread] = []
 
     @classmethod
     def listen(cls, config: CellConfig) -> Session:
-        """The node's side: listen on tcp/127.0.0.1:{config.port}. WireError if the port is in use."""
-        raise NotImplementedError
+        """The node's end, on tcp/127.0.0.1:{config.port}; raises WireError if the port is in use."""
+        codec.warm_up()
+        return cls(open_listener(config), config)
 
     @classmethod
     def connect(cls, config: CellConfig, timeout: float = 5.0) -> Session:
-        """Everybody else's side. WireError if nobody listens there within `timeout` [s]."""
-        raise NotImplementedError
+        """Everybody else's end. Reconnects by itself when the node goes and comes back.
+
+        Args:
+            timeout: how long to wait for the node [s].
+
+        Raises:
+            WireError: nobody listens there.
+        """
+        codec.warm_up()
+        return cls(open_client(config, timeout), config)
 
     def publish(self, key: str, message: Any) -> None:
-        """Send `message` (needs attribute t) to all who listen; never waits for them."""
-        raise NotImplementedError
+        """Send `message` to all who read `key`; `message.t` becomes its source time.
+
+        Never waits for a receiver longer than a few milliseconds: when a link is congested
+        the message is dropped, and its readers count it as lost.
+
+        Raises:
+            WireError: the message cannot be encoded, or the session is closed.
+        """
+        payload = codec.encode(message)
+        channel = self._channel(key, type(message))
+        t_ns = round(message.t * 1e9)
+        try:
+            with channel.lock:
+                channel.seq += 1
+                channel.publisher.put(payload, attachment=ATTACHMENT.pack(channel.seq, t_ns, self._sender))
+        except zenoh.ZError as error:
+            raise WireError(f"cannot publish on {key}: {first_line(error)}") from None
 
     def publish_frame(self, frame: Frame) -> None:
-        """Send a frame as two images on camera/<name>/color and depth."""
-        raise NotImplementedError
+        """Send a frame as two images, on the camera's color and depth channels."""
+        for what, pixels in (("color", frame.rgb), ("depth", frame.depth)):
+            self.publish(self.keys.camera(frame.camera, what), Image(frame.t, frame.camera, pixels))
+
+    def _channel(self, key: str, cls: type[Any]) -> _Channel:
+        with self._lock:
+            channel = self._channels.get(key)
+            if channel is None:
+                quality = BULK if cls in (Image, Frame) else SMALL
+                encoding = zenoh.Encoding.APPLICATION_CDR.with_schema(codec.ros_type(cls))
+                try:
+                    publisher = self._open().declare_publisher(
+                        key,
+                        encoding=encoding,
+                        congestion_control=zenoh.CongestionControl.DROP,
+                        priority=quality.priority,
+                        express=quality.express,
+                    )
+                except zenoh.ZError as error:
+                    raise WireError(f"cannot publish on {key}: {first_line(error)}") from None
+                channel = self._channels[key] = _Channel(publisher)
+            return channel
 
     def latest(self, key: str, cls: type[M]) -> Latest[M]:
-        """Reader of the newest message on `key`."""
-        raise NotImplementedError
+        """Reader of the newest message of class `cls` on `key`."""
+        ring = _RING_IMAGES if cls in (Image, Frame) else _RING_SMALL
+        return Latest(key, cls, self._subscribe(key, ring))
 
     def latest_frame(self, camera: str) -> LatestFrame:
         """Reader of the newest frame of a camera."""
-        raise NotImplementedError
+        color = self.latest(self.keys.camera(camera, "color"), Image)
+        return LatestFrame(color, self.latest(self.keys.camera(camera, "depth"), Image))
 
     def listen_all(self, key_expr: str, callback: Callable[[Tapped], None]) -> None:
-        """Call `callback` for every sample on matching keys, from one thread of this session."""
-        raise NotImplementedError
+        """Call `callback` for every sample on matching keys, from one thread of this session.
+
+        The callback should only store: while it runs, samples wait in a bounded ring.
+        """
+        subscriber = self._subscribe(key_expr, _RING_SMALL)
+        gaps: dict[str, Gaps] = {}
+
+        def pass_on(sample: zenoh.Sample) -> None:
+            key = str(sample.key_expr)
+            seq, t, sender = attached(sample) or (0, 0.0, 0)
+            missed = max(0, gaps.setdefault(key, Gaps()).missed(sender, seq))
+            payload = sample.payload.to_bytes()
+            callback(Tapped(key, payload, seq, t, _schema(sample.encoding), missed))
+
+        self._pump(f"tap {key_expr}", subscriber.handler.recv, pass_on)
 
     def serve(self, key: str, request_cls: type[Q], handler: Callable[[Q], Any]) -> None:
-        """Answer queries on `key` with what `handler(request)` returns (a message).
+        """Answer queries on `key` with the message that `handler(request)` returns.
 
-        One thread per key. A request that cannot be decoded is answered Reply(False, "decode", why);
-        an exception in the handler Reply(False, its RefusedError code or "error", why).
+        Handlers of one key run one after the other, on a thread of their own. A request that
+        cannot be decoded is answered `Reply(False, "decode", why)`; a RefusedError from the
+        handler with its code and reason, any other exception with the code "error".
         """
-        raise NotImplementedError
+        try:
+            with self._lock:
+                queryable = self._open().declare_queryable(key, zenoh.handlers.RingChannel(_RING_QUERIES))
+                self._declared.append(queryable)
+        except zenoh.ZError as error:
+            raise WireError(f"cannot serve {key}: {first_line(error)}") from None
+
+        def answer(query: zenoh.Query) -> None:
+            reply = _answer(query, request_cls, handler)
+            payload = codec.encode(reply)
+            encoding = zenoh.Encoding.APPLICATION_CDR.with_schema(codec.ros_type(type(reply)))
+            query.reply(
+                key,
+                payload,
+                encoding=encoding,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                priority=SMALL.priority,
+                express=True,
+            )
+
+        self._pump(f"serve {key}", queryable.handler.recv, answer)
 
     def call(self, key: str, request: Any, reply_cls: type[M], timeout: float = 2.0) -> M:
-        """Query `key`; returns the decoded reply.
+        """Query `key` and return the decoded answer.
+
+        Args:
+            timeout: how long to wait for it [s].
 
         Raises:
-            WireError: nobody answered in time, or (when reply_cls is not Reply) the answer was
-                a refusal; the text then holds code and reason.
+            WireError: nobody serves the key, no answer in time, or (when `reply_cls` is not
+                `Reply`) a refusal; the text then ends in its code and reason.
+            DecodeError: the answer is not a valid `reply_cls`.
         """
-        raise NotImplementedError
+        try:
+            replies = self._open().get(
+                key,
+                payload=codec.encode(request),
+                timeout=timeout,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                priority=SMALL.priority,
+                express=True,
+            )
+            reply = replies.recv()
+        except zenoh.ZError as error:
+            if "closed" in str(error) and not self._closed:
+                raise WireError(f"nobody answers {key}: is the cell's node running?") from None
+            raise WireError(f"cannot call {key}: {first_line(error)}") from None
+        if reply.ok is None:
+            raise WireError(f"no answer to {key} within {timeout:g} s")
+        payload = reply.ok.payload.to_bytes()
+        if reply_cls is not Reply and _schema(reply.ok.encoding) == codec.ros_type(Reply):
+            refusal = codec.decode(Reply, payload)
+            raise WireError(f"{key} refused: {refusal.code}: {refusal.reason}")
+        return codec.decode(reply_cls, payload)
 
     def close(self) -> None:
-        """End everything; idempotent."""
-        raise NotImplementedError
+        """End everything; may be called more than once, and from any thread."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+        try:
+            self._session.close()  # ends every ring, and with it the threads that wait on one
+        except zenoh.ZError as error:
+            _log.warning("closing the session: %s", first_line(error))
+        for thread in self._threads:
+            if thread is not threading.current_thread():
+                thread.join(_JOIN_S)
 
     def __enter__(self) -> Self:
         return self
@@ -90,3 +255,55 @@ class Session:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _open(self) -> zenoh.Session:
+        if self._closed:
+            raise WireError("the session is closed")
+        return self._session
+
+    def _subscribe(self, key_expr: str, ring: int) -> zenoh.Subscriber[Any]:
+        try:
+            with self._lock:
+                subscriber = self._open().declare_subscriber(key_expr, zenoh.handlers.RingChannel(ring))
+                self._declared.append(subscriber)
+                return subscriber
+        except zenoh.ZError as error:
+            raise WireError(f"cannot read {key_expr}: {first_line(error)}") from None
+
+    def _pump(self, name: str, receive: Callable[[], Any], use: Callable[[Any], None]) -> None:
+        def run() -> None:
+            while True:
+                try:
+                    item = receive()
+                except zenoh.ZError:  # undeclared: the session is closing
+                    return
+                try:
+                    use(item)
+                except Exception as error:  # one bad item must not end the service
+                    if not self._closed:
+                        _log.exception("%s: %s", name, error)
+                # Zenoh tells the asker that no more replies come when the query is let go.
+                del item
+
+        thread = threading.Thread(target=run, name=name, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+
+def _answer(query: zenoh.Query, request_cls: type[Q], handler: Callable[[Q], Any]) -> Any:
+    try:
+        payload = b"" if query.payload is None else query.payload.to_bytes()
+        return handler(codec.decode(request_cls, payload))
+    except DecodeError as error:
+        return Reply(False, "decode", str(error))
+    except RefusedError as error:
+        return Reply(False, error.code, error.reason)
+    except CellError as error:
+        return Reply(False, "error", str(error))
+    except Exception as error:
+        _log.exception("handler of %s", query.key_expr)
+        return Reply(False, "error", f"{type(error).__name__}: {error}"[:1000])
+
+
+def _schema(encoding: zenoh.Encoding) -> str:
+    return str(encoding).partition(";")[2]

@@ -81,18 +81,18 @@ class Mesh:
         faces = mesh.faces if np.prod(factor) > 0 else mesh.faces[:, ::-1]
         return cls.of(mesh.vertices * factor, faces, n, mesh.uv, mesh.colors)
 
-    def simplified(self, target_faces: int) -> Mesh:
-        """A mesh of about `target_faces` triangles with the same shape, normals and colours.
+    def simplified(self, max_error: float) -> Mesh:
+        """A mesh of fewer triangles that stays within about `max_error` [m] of this one.
 
-        Quadric decimation, one colour region at a time with its border kept, so that regions
-        stay sharp and gapless. Texture coordinates are not carried over: a mesh that has them
-        is returned unchanged, as is one that is small enough already.
+        Edge collapse bounded by its error, one colour region at a time with its border kept,
+        so that regions stay sharp and gapless; normals and colours come from the original.
+        Texture coordinates are not carried over: a mesh that has them is returned unchanged.
         """
-        if self.uv is not None or len(self.faces) <= target_faces:
+        if self.uv is not None:
             return self
         from hil.sim.render.simplify import simplify
 
-        return simplify(self, target_faces)
+        return simplify(self, max_error)
 
 
 def smooth_normals(vertices: Floats, faces: Ints) -> Floats:

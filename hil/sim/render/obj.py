@@ -60,14 +60,12 @@ def _read_obj(path: Path) -> Mesh:
             current = len(palette) - 1
     if not corners:
         raise ValueError("it has no faces")
-    refs = [[*c.split("/"), "", ""][:3] for triangle in corners for c in triangle]
-    index = np.array([[int(part) if part else 0 for part in ref] for ref in refs])
-    color = np.repeat(np.array(materials), 3)
     v, vt, vn = _table(points, 3), _table(uvs, 2), _table(normals, 3)
-    for column, table in enumerate((v, vt, vn)):
-        negative = index[:, column] < 0
-        index[negative, column] += len(table) + 1
-    unique, inverse = np.unique(np.column_stack([index, color]), axis=0, return_inverse=True)
+    index = _references([c for triangle in corners for c in triangle], (len(v), len(vt), len(vn)))
+    color = np.repeat(np.array(materials, dtype=np.int64), 3)
+    key = ((color * (len(vn) + 1) + index[:, 2]) * (len(vt) + 1) + index[:, 1]) * (len(v) + 1) + index[:, 0]
+    _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
+    unique = np.column_stack([index[first], color[first]])
     faces = inverse.reshape(-1, 3)
     has_uv, has_normals = bool(len(vt)) and index[:, 1].min() > 0, bool(len(vn)) and index[:, 2].min() > 0
     return Mesh.of(
@@ -77,6 +75,21 @@ def _read_obj(path: Path) -> Mesh:
         vt[unique[:, 1] - 1] if has_uv else None,
         np.array(palette, dtype=np.uint8)[unique[:, 3]] if len(colors) else None,
     )
+
+
+def _references(corners: list[str], counts: tuple[int, int, int]) -> NDArray[np.int64]:
+    """"v/vt/vn" words -> indices (N, 3) from 1; 0 where absent, negative ones resolved."""
+    slashes = corners[0].count("/")
+    if all(c.count("/") == slashes for c in corners):
+        text = " ".join(corners).replace("//", "/0/").replace("/", " ")
+        columns = text.split()
+        flat = np.array(columns, dtype=np.int64).reshape(len(corners), -1)
+        index = np.zeros((len(corners), 3), dtype=np.int64)
+        index[:, : flat.shape[1]] = flat
+    else:
+        words = [[*c.split("/"), "", ""][:3] for c in corners]
+        index = np.array([[int(part) if part else 0 for part in word] for word in words])
+    return np.where(index < 0, index + np.array(counts) + 1, index)
 
 
 def _table(rows: list[str], columns: int) -> NDArray[np.float64]:

@@ -26,8 +26,8 @@ from hil.sim.render.mesh import (
 
 Rgba = tuple[float, float, float, float]
 
-MESH_FACES = 3000
-"""URDF meshes are drawn with about this many triangles each, within 1 mm of the file's shape."""
+MESH_ERROR = 0.3e-3
+"""Bound of the error with which a URDF's fine meshes are simplified [m]."""
 _GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
 
 
@@ -129,7 +129,7 @@ def add_urdf_visuals(
     client: int,
     label: int,
     resolve_mesh: Callable[[str], Path],
-    mesh_faces: int = MESH_FACES,
+    mesh_error: float = MESH_ERROR,
 ) -> list[int]:
     """Add every `<visual>` of a URDF, attached to the links of a loaded PyBullet body by name.
 
@@ -139,7 +139,7 @@ def add_urdf_visuals(
         body, client: of PyBullet; the body has the URDF's links.
         label: for all of them.
         resolve_mesh: mesh file name as written -> path, e.g. `urdf.resolve`.
-        mesh_faces: fine meshes are simplified to about this many triangles.
+        mesh_error: how far fine meshes may be simplified [m].
 
     Returns:
         The handles.
@@ -160,7 +160,7 @@ def add_urdf_visuals(
             if name not in links:
                 raise RenderError(f"URDF link '{name}' is not in the body; it has: {', '.join(links)}")
             color = _color(element.find("material"), palette)
-            mesh = _geometry(element.find("geometry"), resolve_mesh, mesh_faces)
+            mesh = _geometry(element.find("geometry"), resolve_mesh, mesh_error)
             if color is not None and mesh.colors is not None:
                 mesh = replace(mesh, colors=None)  # a URDF's own colour replaces the file's
             rgba = color if color is not None else (_GREY if mesh.colors is None else (1.0, 1.0, 1.0, 1.0))
@@ -198,7 +198,7 @@ def _color(element: ET.Element | None, palette: dict[str, ET.Element]) -> Rgba |
     return r, g, b, a
 
 
-def _geometry(element: ET.Element | None, resolve_mesh: Callable[[str], Path], mesh_faces: int) -> Mesh:
+def _geometry(element: ET.Element | None, resolve_mesh: Callable[[str], Path], mesh_error: float) -> Mesh:
     shape: Any = element[0] if element is not None and len(element) else None
     if shape is None:
         raise RenderError("URDF: a <visual> without <geometry>")
@@ -215,13 +215,13 @@ def _geometry(element: ET.Element | None, resolve_mesh: Callable[[str], Path], m
             file = resolve_mesh(shape.get("filename", ""))
         except FileNotFoundError as error:
             raise RenderError(str(error)) from None
-        return _cheap_mesh(file, tuple(scale), mesh_faces)
+        return _cheap_mesh(file, tuple(scale), mesh_error)
     raise RenderError(f"URDF: <{shape.tag}> is not drawn; legal: box, sphere, cylinder, capsule, mesh")
 
 
 @lru_cache(maxsize=64)
-def _cheap_mesh(path: Path, scale: tuple[float, ...], faces: int) -> Mesh:
-    return Mesh.from_file(path, scale).simplified(faces)
+def _cheap_mesh(path: Path, scale: tuple[float, ...], max_error: float) -> Mesh:
+    return Mesh.from_file(path, scale).simplified(max_error)
 
 
 def _numbers(text: str, count: int) -> list[float]:
@@ -235,7 +235,7 @@ def _numbers(text: str, count: int) -> list[float]:
 
 
 __all__ = [
-    "MESH_FACES",
+    "MESH_ERROR",
     "Mesh",
     "Scene",
     "Visual",

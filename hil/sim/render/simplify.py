@@ -1,4 +1,4 @@
-"""Quadric decimation that keeps colour regions apart and shading smooth."""
+"""Decimation with a bounded error that keeps colour regions apart and shading smooth."""
 
 from __future__ import annotations
 
@@ -7,49 +7,53 @@ from numpy.typing import NDArray
 
 from hil.sim.render.mesh import Mesh
 
-_SAME_POINT = 1e-6
-"""Vertices nearer than this are one [m]."""
+_GRID = 1 << 20
+"""Points are equal if they fall into the same of this many cells along the mesh's longest side."""
 _CREASE = 0.6
 """A corner takes an original normal only if its cosine to the face's own is above this."""
-_NEIGHBOURS = 12
+_NEIGHBOURS = 8
 
 
-def simplify(mesh: Mesh, target_faces: int) -> Mesh:
+def simplify(mesh: Mesh, max_error: float) -> Mesh:
     """See `Mesh.simplified`."""
-    import fast_simplification
+    import meshoptimizer as mo
 
     point_ids, points = _welded(mesh.vertices)
     faces = point_ids[mesh.faces]
+    proper = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     region = _regions(mesh)
-    keep = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    share = target_faces / max(1, int(keep.sum()))
     corners, normals, colors = [], [], []
     for value in np.unique(region):
-        chosen = faces[keep & (region == value)]
-        used, local = np.unique(chosen, return_inverse=True)
-        out_v, out_f = fast_simplification.simplify(
-            points[used],
-            local.reshape(-1, 3).astype(np.int32),
-            target_count=max(4, round(share * len(chosen))),
-            agg=3.0,
-            preserve_border=True,
-        )[:2]
-        if not len(out_f):
+        chosen = proper & (region == value)
+        out = np.zeros(3 * int(chosen.sum()), dtype=np.uint32)
+        count = mo.simplify(
+            out,
+            np.ascontiguousarray(faces[chosen], dtype=np.uint32).ravel(),
+            points,
+            target_index_count=3,
+            target_error=max_error,
+            options=mo.SIMPLIFY_ERROR_ABSOLUTE | mo.SIMPLIFY_LOCK_BORDER,
+        )
+        if not count:
             continue
-        source = mesh.faces[keep & (region == value)].ravel()
-        triangles = np.asarray(out_v)[np.asarray(out_f)]
+        triangles = points[out[:count]].reshape(-1, 3, 3)
+        source = np.unique(mesh.faces[chosen])
         corners.append(triangles.reshape(-1, 3))
         normals.append(_corner_normals(triangles, mesh.vertices[source], mesh.normals[source]))
         if mesh.colors is not None:
-            colors.append(np.repeat(mesh.colors[source[:1]], 3 * len(out_f), axis=0))
+            colors.append(np.repeat(mesh.colors[source[:1]], count, axis=0))
     return _indexed(np.vstack(corners), np.vstack(normals), np.vstack(colors) if colors else None)
 
 
-def _welded(vertices: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _welded(vertices: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Ids (V,) of distinct points and the points (P, 3): files repeat a vertex per normal."""
-    grid = np.round(vertices.astype(np.float64) / _SAME_POINT).astype(np.int64)
-    _, first, ids = np.unique(grid, axis=0, return_index=True, return_inverse=True)
-    return ids.reshape(-1), vertices[first].astype(np.float64)
+    low = vertices.min(axis=0)
+    cell = max(float((vertices.max(axis=0) - low).max()), 1e-9) / _GRID
+    key = np.round((vertices - low).astype(np.float64) / cell).astype(np.int64)
+    _, first, ids = np.unique(
+        key[:, 0] << 42 | key[:, 1] << 21 | key[:, 2], return_index=True, return_inverse=True
+    )
+    return ids, np.ascontiguousarray(vertices[first])
 
 
 def _regions(mesh: Mesh) -> NDArray[np.int64]:
@@ -61,8 +65,8 @@ def _regions(mesh: Mesh) -> NDArray[np.int64]:
 
 
 def _corner_normals(
-    triangles: NDArray[np.float64], points: NDArray[np.float32], normals: NDArray[np.float32]
-) -> NDArray[np.float64]:
+    triangles: NDArray[np.float32], points: NDArray[np.float32], normals: NDArray[np.float32]
+) -> NDArray[np.float32]:
     """Normals (3 F, 3): the nearest original one on the same side of a crease, else the face's."""
     from scipy.spatial import cKDTree
 
@@ -71,25 +75,24 @@ def _corner_normals(
     own = np.repeat(face_n, 3, axis=0)
     count = min(_NEIGHBOURS, len(points))
     _, near = cKDTree(points).query(triangles.reshape(-1, 3), k=count)
-    candidates = normals[near.reshape(-1, count)].astype(np.float64)
+    candidates = normals[near.reshape(-1, count)]
     fits = np.einsum("nkc,nc->nk", candidates, own) > _CREASE
-    first = np.argmax(fits, axis=1)
-    chosen = candidates[np.arange(len(own)), first]
-    return np.where(fits.any(axis=1)[:, None], chosen, own)
+    chosen = candidates[np.arange(len(own)), np.argmax(fits, axis=1)]
+    return np.where(fits.any(axis=1)[:, None], chosen, own).astype(np.float32)
 
 
 def _indexed(
-    corners: NDArray[np.float64], normals: NDArray[np.float64], colors: NDArray[np.uint8] | None
+    corners: NDArray[np.float32], normals: NDArray[np.float32], colors: NDArray[np.uint8] | None
 ) -> Mesh:
     """Share equal corners between triangles."""
-    key = np.column_stack(
-        [
-            np.round(corners / _SAME_POINT),
-            np.round(normals * 200.0),
-            np.zeros((len(corners), 3)) if colors is None else colors,
-        ]
-    ).astype(np.int64)
-    _, first, ids = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    ids, _ = _welded(corners)
+    n = np.round(normals * 200.0).astype(np.int64) + 200
+    key = ids << 27 | n[:, 0] << 18 | n[:, 1] << 9 | n[:, 2]
+    if colors is not None:
+        rgb = colors.astype(np.int64)
+        _, palette = np.unique(rgb[:, 0] << 16 | rgb[:, 1] << 8 | rgb[:, 2], return_inverse=True)
+        key = key * (int(palette.max()) + 1) + palette
+    _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
     return Mesh.of(
-        corners[first], ids.reshape(-1, 3), normals[first], None, None if colors is None else colors[first]
+        corners[first], inverse.reshape(-1, 3), normals[first], None, None if colors is None else colors[first]
     )

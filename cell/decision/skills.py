@@ -1,0 +1,224 @@
+"""The robot's skills: what each action of the policy does, and why it ended.
+
+Every skill is a generator (see `primitives`) that returns `Ended`. The abstract state of the
+task changes by what a skill reports, never by what was hoped for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cell.decision.primitives import Primitives, Skill
+from cell.decision.targets import Grasp, choose
+from cell.errors import PlanError
+from cell.frames import Array
+from cell.motion.planner import Planner
+from cell.motion.views import InspectionViews
+from cell.perception.look import Eye
+from cell.perception.tracking import Tracker
+from cell.wire.types import Detections
+from cell.wire.vocabulary import Prediction
+
+_BLEMISHED_ABOVE = 0.5
+"""P(blemished) from which an onion counts as blemished."""
+_FINGERTIP = 0.011
+"""The fingers reach this far beyond the tool centre point [m]."""
+_BELT_GAP = 0.006
+"""Least distance of the fingertips from the belt in a grasp [m]."""
+_RELEASE_GAP = 0.002
+"""How much higher an onion is let go than it was taken, so that it is not pressed down [m]."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """Why a skill ended: `code` one word (done, nothing_left, missed_grasp, ...), `reason` a sentence."""
+
+    code: str
+    reason: str = ""
+    prediction: Prediction = Prediction.UNKNOWN
+
+    @property
+    def done(self) -> bool:
+        return self.code == "done"
+
+
+class Skills:
+    """All skills over one arm, one eye, one tracker."""
+
+    def __init__(self, body: Primitives, planner: Planner, views: InspectionViews, eye: Eye) -> None:
+        self.body = body
+        self.tracker = Tracker()
+        self.target: Grasp | None = None
+        self.detections: list[Detections] = []
+        self._planner, self._views, self._eye = planner, views, eye
+        self._config = body.config
+        self._X_WT_grasp: Array | None = None
+
+    # -- skills ---------------------------------------------------------------------------------
+
+    def detect(self) -> Skill[Ended]:
+        """Look at the belt with the arm out of the way and choose the next onion."""
+        self.target = None
+        yield from self._go_home()
+        for _ in range(self._config.supervisor.look_attempts):
+            frame = yield from self.body.look("belt")
+            seen = self._eye.belt(frame)
+            self.detections.append(seen.detections)
+            self.tracker.look(list(seen.sightings))
+            while waiting := self.tracker.waiting():
+                grasp = choose(waiting, self.tracker.tracks, self._p_WT(), self._config)
+                if self._reachable(grasp):
+                    self.target = grasp
+                    blemished = grasp.track.p_blemished >= _BLEMISHED_ABOVE
+                    return Ended("done", "", Prediction.BLEMISHED if blemished else Prediction.UNBLEMISHED)
+                self.tracker.failed(grasp.track.id, 1, "out of the arm's reach")
+        return Ended("nothing_left", "no onion left to sort")
+
+    def pick(self) -> Skill[Ended]:
+        """Take the chosen onion from the belt."""
+        grasp = self.target
+        if grasp is None:
+            return Ended("no_target", "pick without a detected onion")
+        X_WT = self._grasp_pose(grasp)
+        above = X_WT.copy()
+        above[2, 3] += self._config.motion.hover
+        try:
+            yield from self._to_pose(above)
+            yield from self._to_pose(X_WT, straight=True)
+            yield from self.body.settle()
+            yield from self.body.grip(0.0)
+            held = self.body.holds()
+            if not held:
+                yield from self.body.grip(self._config.gripper.stroke)
+            yield from self._to_pose(above, straight=True, held=held)
+        except PlanError as error:
+            self.tracker.failed(grasp.track.id, 1, str(error))
+            self.target = None
+            return Ended("unreachable", str(error))
+        if held and self.body.holds():
+            self._X_WT_grasp = X_WT
+            return Ended("done")
+        code, reason = ("lost_onion", "it slipped while lifting") if held else ("missed_grasp", "nothing between the fingers")
+        if held:
+            yield from self.body.grip(self._config.gripper.stroke)
+        self.tracker.failed(grasp.track.id, self._config.supervisor.grasp_attempts, reason)
+        self.target = None
+        return Ended(code, reason)
+
+    def detect_pick(self) -> Skill[Ended]:
+        """Detect and pick in one action (industrial mode)."""
+        ended = yield from self.detect()
+        if not ended.done:
+            return ended
+        picked = yield from self.pick()
+        return Ended(picked.code, picked.reason, ended.prediction)
+
+    def inspect(self) -> Skill[Ended]:
+        """Turn the held onion's hidden sides to the belt camera."""
+        found = 0
+        worst = self.target.track.p_blemished if self.target else 0.0
+        for view in self._views.views:
+            yield from self.body.follow(
+                self._planner.plan_joints(self.body.q_rest, view.q, self.body.speed_cap, held_radius=self._held_radius())
+            )
+            yield from self.body.settle()
+            if not self.body.holds():
+                return (yield from self._lost("it fell during inspection"))
+            for _ in range(self._config.supervisor.look_attempts):
+                frame = yield from self.body.look("belt")
+                seen = self._eye.held(frame, view.X_WT[:3, 3])
+                self.detections.append(seen.detections)
+                if seen.found:
+                    found += 1
+                    worst = max(worst, seen.p_blemished)
+                    break
+            if worst >= _BLEMISHED_ABOVE:
+                return Ended("done", "blemish seen", Prediction.BLEMISHED)
+        if found < len(self._views.views):
+            reason = f"the onion was seen in {found} of {len(self._views.views)} views"
+            if found == 0:
+                # Nothing proves that it is sound: the safe side for the eater is the bin.
+                return Ended("done", reason, Prediction.BLEMISHED)
+            return Ended("done", reason, Prediction.UNBLEMISHED)
+        return Ended("done", "no blemish seen", Prediction.UNBLEMISHED)
+
+    def place_on_conveyor(self) -> Skill[Ended]:
+        """Put the held onion back where it lay."""
+        X_WT = self._X_WT_grasp
+        if X_WT is None:
+            return Ended("no_onion", "nothing in the hand")
+        low = X_WT.copy()
+        low[2, 3] += _RELEASE_GAP
+        above = X_WT.copy()
+        above[2, 3] += self._config.motion.hover
+        yield from self._to_pose(above, held=True)
+        if not self.body.holds():
+            return (yield from self._lost("it fell on the way to the belt"))
+        yield from self._to_pose(low, straight=True, held=True)
+        yield from self.body.settle()
+        yield from self.body.grip(self._config.gripper.stroke)
+        yield from self._to_pose(above, straight=True)
+        if self.target is not None:
+            self.tracker.placed(self.target.track.id, low[:3, 3])
+        self.target, self._X_WT_grasp = None, None
+        return Ended("done")
+
+    def place_in_bin(self) -> Skill[Ended]:
+        """Carry the held onion to the bin and let it go."""
+        X_WT = self._planner.drop_pose(self.body.q_rest)
+        yield from self._to_pose(X_WT, held=True)
+        if not self.body.holds():
+            return (yield from self._lost("it fell on the way to the bin"))
+        yield from self.body.settle()
+        yield from self.body.grip(self._config.gripper.stroke)
+        if self.target is not None:
+            self.tracker.taken(self.target.track.id)
+        self.target, self._X_WT_grasp = None, None
+        return Ended("done")
+
+    def no_op(self) -> Skill[Ended]:
+        """Do nothing for one tick."""
+        yield from self.body.tick()
+        return Ended("done")
+
+    # -- parts ----------------------------------------------------------------------------------
+
+    def _lost(self, reason: str) -> Skill[Ended]:
+        """The onion is gone: open the hand and forget the target; it will be seen again or not."""
+        yield from self.body.grip(self._config.gripper.stroke)
+        if self.target is not None:
+            self.tracker.taken(self.target.track.id)
+        self.target, self._X_WT_grasp = None, None
+        return Ended("lost_onion", reason)
+
+    def _go_home(self) -> Skill[None]:
+        home = np.array(self._config.arm.home)
+        if np.max(np.abs(self.body.q_rest - home)) > 1e-3:
+            yield from self.body.follow(self._planner.plan_joints(self.body.q_rest, home, self.body.speed_cap))
+
+    def _to_pose(self, X_WT: Array, *, straight: bool = False, held: bool = False) -> Skill[None]:
+        radius = self._held_radius() if held else 0.0
+        path = self._planner.plan_to_pose(
+            self.body.q_rest, X_WT, self.body.speed_cap, straight=straight, held_radius=radius
+        )
+        yield from self.body.follow(path)
+
+    def _held_radius(self) -> float:
+        return self.target.track.radius if self.target else 0.5 * self._config.onions.diameter[1]
+
+    def _grasp_pose(self, grasp: Grasp) -> Array:
+        p_WO = grasp.track.p_WO.copy()
+        p_WO[2] = max(p_WO[2], self._config.belt.top_z + _FINGERTIP + _BELT_GAP)
+        return self._planner.grasp_pose(p_WO, grasp.yaw)
+
+    def _reachable(self, grasp: Grasp) -> bool:
+        return self._planner.reachable(self._grasp_pose(grasp), self._config.motion.hover)
+
+    def _p_WT(self) -> Array:
+        p: Array = self._planner.kinematics.X_WT(self.body.q_rest)[:3, 3]
+        return p
+
+
+__all__ = ["Ended", "Skills"]

@@ -1,0 +1,188 @@
+"""The supervisor: one pure tick from inputs to outputs.
+
+Each tick the running skill gets the new inputs. When it ends, the finite-state machine moves
+by the skill's outcome and the policy table names the next action. `tick` does no I/O and reads
+no clock: recorded inputs replayed through it give the same outputs, byte for byte.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from cell.config import CellConfig
+from cell.decision.fsm import Task
+from cell.decision.io import Inputs, Outputs
+from cell.decision.modes import NOBODY, ModeState, Permit, decide
+from cell.decision.policy import PolicyTable
+from cell.decision.primitives import Primitives, Skill, SkillError
+from cell.decision.skills import Ended, Skills
+from cell.errors import PlanError
+from cell.motion.planner import Planner
+from cell.motion.views import InspectionViews
+from cell.perception.look import Eye, OnionDetector
+from cell.wire.types import Event, SupervisorState
+from cell.wire.vocabulary import Action
+
+_MOST_FAILURES = 5
+"""Skills that may fail in a row before the round is given up."""
+_INFO, _WARN, _ERROR = 20, 30, 40
+
+
+class Supervisor:
+    """Sorts one batch.
+
+    Args:
+        config: the cell. policy: the table to follow.
+        planner, views: motion. detector: finds onions in images.
+        holder: name under which it holds the command lease.
+    """
+
+    def __init__(
+        self,
+        config: CellConfig,
+        policy: PolicyTable,
+        planner: Planner,
+        views: InspectionViews,
+        detector: OnionDetector,
+        holder: str = "supervisor",
+    ) -> None:
+        self._config, self._policy = config, policy
+        self._body = Primitives(config, holder)
+        self._skills = Skills(self._body, planner, views, Eye(config, detector))
+        self._task = Task()
+        self._belief = 0.0
+        self._running: Skill[Ended] | None = None
+        self._action = Action.NO_OP
+        self._failures = 0
+        self._started: float | None = None
+        self._reason = ""
+        self._events: list[Event] = []
+        self._result: tuple[bool, str] = (False, "")
+
+    def tick(self, inputs: Inputs) -> Outputs:
+        """One decision cycle; see `Inputs` and `Outputs`."""
+        self._body.inputs = inputs
+        self._started = inputs.t if self._started is None else self._started
+        mode = decide(self._config.motion, self._task.own_type, self._permit(), inputs.arm.stopped)
+        self._body.speed_cap = mode.cap
+        if not self._result[0]:
+            self._work(inputs)
+        detections = tuple(self._skills.detections)
+        self._skills.detections.clear()
+        events, self._events = tuple(self._events), []
+        done, failure = self._result
+        return Outputs(self._body.take_outbox(), self._state(mode), detections, events, done, failure)
+
+    # -- the loop -------------------------------------------------------------------------------
+
+    def _work(self, inputs: Inputs) -> None:
+        if inputs.arm.stopped:
+            self._finish(f"the arm was stopped: {inputs.arm.stop_reason}")
+            return
+        assert self._started is not None
+        if inputs.t - self._started > self._config.supervisor.round_timeout:
+            self._finish(f"the round took longer than {self._config.supervisor.round_timeout:g} s")
+            return
+        ended = self._advance(inputs)
+        # Actions that need no time (mode changes) follow one another within the same tick.
+        for _ in range(4):
+            if ended is not None and not self._conclude(ended):
+                return
+            if self._running is not None:
+                return
+            ended = self._begin()
+        if ended is not None:
+            self._conclude(ended)
+
+    def _advance(self, inputs: Inputs) -> Ended | None:
+        """Let the running skill see the inputs; its end, if it ended."""
+        return None if self._running is None else self._guard(lambda skill: skill.send(inputs))
+
+    def _begin(self) -> Ended | None:
+        """Ask the policy and start what it says; the end, if it ended at once."""
+        state = self._task.state(self._policy.belief_bin(self._belief))
+        self._action = self._policy.action(state)
+        skills = self._skills
+        starts: dict[Action, Callable[[], Skill[Ended]]] = {
+            Action.NO_OP: skills.no_op,
+            Action.DETECT: skills.detect,
+            Action.DETECT_PICK: skills.detect_pick,
+            Action.PICK: skills.pick,
+            Action.INSPECT: skills.inspect,
+            Action.PLACE_ON_CONVEYOR: skills.place_on_conveyor,
+            Action.PLACE_IN_BIN: skills.place_in_bin,
+        }
+        if self._action not in starts:
+            return Ended("done")  # a mode change: the task state does it
+        self._running = starts[self._action]()
+        return self._guard(next)
+
+    def _guard(self, step: Callable[[Skill[Ended]], None]) -> Ended | None:
+        """Run one step of the skill and turn every way it can end into `Ended`."""
+        assert self._running is not None
+        try:
+            step(self._running)
+            return None
+        except StopIteration as stop:
+            ended: Ended = stop.value
+        except SkillError as error:
+            ended = Ended(error.code, error.reason)
+        except PlanError as error:
+            ended = Ended("no_path", str(error))
+        self._running = None
+        return ended
+
+    def _conclude(self, ended: Ended) -> bool:
+        """Move the task state by how the action ended; False when the round is over."""
+        self._reason = f"{ended.code}: {ended.reason}" if ended.reason else ended.code
+        self._task.apply(self._action, ended)
+        level = _INFO if ended.done else _WARN
+        self._say(level, f"{self._action.name.lower()}: {self._reason}")
+        if ended.code == "nothing_left":
+            self._finish("")
+            return False
+        self._failures = 0 if ended.done else self._failures + 1
+        if ended.code == "stopped" or self._failures >= _MOST_FAILURES:
+            self._finish(f"{self._action.name.lower()} failed: {self._reason}")
+            return False
+        return True
+
+    def _finish(self, failure: str) -> None:
+        self._result = (True, failure)
+        self._running = None
+        if failure:
+            self._say(_ERROR, failure)
+
+    # -- what watchers see ------------------------------------------------------------------------
+
+    def _permit(self) -> Permit:
+        return NOBODY
+
+    def _say(self, level: int, text: str) -> None:
+        self._events.append(Event(self._body.now, level, "supervisor", text))
+
+    def _state(self, mode: ModeState) -> SupervisorState:
+        task, target = self._task, self._skills.target
+        x, y, z = (0.0, 0.0, 0.0) if target is None else target.track.p_WO
+        return SupervisorState(
+            t=self._body.now,
+            mode=int(mode.mode),
+            action=int(self._action),
+            phase="done" if self._result[0] else self._action.name.lower(),
+            onion_location=int(task.onion),
+            eef_location=int(task.eef),
+            prediction=int(task.prediction),
+            own_type=int(task.own_type),
+            belief=self._belief,
+            requested_industrial=mode.requested,
+            permitted_industrial=mode.permitted,
+            separation=mode.separation,
+            speed_cap=mode.cap,
+            binding_cap=mode.binding,
+            sorted=task.in_bin + task.on_conveyor,
+            in_bin=task.in_bin,
+            on_conveyor=task.on_conveyor,
+            remaining=len(self._skills.tracker.waiting()),
+            reason=self._reason,
+            target=(float(x), float(y), float(z)),
+        )

@@ -1,0 +1,211 @@
+"""The rim between the supervisor and the wire: commands out, inputs in.
+
+Two links share one small interface. `StepLink` moves simulated time itself (lock-step: the
+result depends on nothing but seed and commands); `LiveLink` follows the node's own time,
+beats its heart and refuses stale readings.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Protocol
+
+from cell.clock import Clock, WallClock
+from cell.config import CellConfig
+from cell.decision.io import Command, Inputs
+from cell.errors import WireError
+from cell.wire.session import Session
+from cell.wire.types import (
+    ArmStatus,
+    BeltState,
+    Capture,
+    Frame,
+    GripperCommand,
+    GripperState,
+    Heartbeat,
+    JointState,
+    Reply,
+    Resume,
+    StepReply,
+    StepRequest,
+    Stop,
+    Trajectory,
+)
+
+_STEP_TIMEOUT = 60.0
+"""Longest wall time one lock-step step may take [s]."""
+_FIRST_DATA = 20.0
+"""How long the first samples may take after connecting [s]."""
+
+
+class Link(Protocol):
+    """One exchange per supervisor tick."""
+
+    def exchange(self, commands: tuple[Command, ...]) -> Inputs:
+        """Send the commands in order, let one cycle pass, and return what is known then."""
+        ...
+
+    def stop(self, reason: str) -> None:
+        """Stop the arm on its path and wait until it rests."""
+        ...
+
+    def close(self) -> None: ...
+
+
+def send(session: Session, command: Command) -> Reply:
+    """Send one command to the node; a failing wire becomes a refusal with its text."""
+    keys, order = session.keys, command.order
+    match order:
+        case Trajectory():
+            key = keys.trajectory
+        case GripperCommand():
+            key = keys.gripper_command
+        case Resume():
+            key = keys.resume
+        case Capture():
+            key = keys.camera(command.camera, "capture")
+    try:
+        return session.call(key, order, Reply)
+    except WireError as error:
+        return Reply(False, "wire", str(error))
+
+
+class StepLink:
+    """Lock-step: time moves by `sim/step`, whose reply carries every sample."""
+
+    def __init__(self, session: Session, config: CellConfig, holder: str) -> None:
+        self._session, self._holder = session, holder
+        self._ticks = config.supervisor.ticks_per_cycle
+        self._rest_cycles = round(3.0 / (self._ticks * config.arm.control_period))
+
+    def exchange(self, commands: tuple[Command, ...]) -> Inputs:
+        replies = tuple((c.ticket, send(self._session, c)) for c in commands)
+        return _inputs(self._step(), replies)
+
+    def stop(self, reason: str) -> None:
+        self._session.call(self._session.keys.stop, Stop(self._holder, reason), Reply)
+        for _ in range(self._rest_cycles):
+            if not self._step().arm_status.moving:
+                return
+
+    def close(self) -> None:
+        """Nothing to end: the session belongs to the caller."""
+
+    def _step(self) -> StepReply:
+        request = StepRequest(self._holder, self._ticks)
+        return self._session.call(self._session.keys.sim_step, request, StepReply, timeout=_STEP_TIMEOUT)
+
+
+class LiveLink:
+    """Real time: the node runs freely; readings have an age, the heart beats in a thread.
+
+    The heart beats only while the decision loop comes by at least every `loop_deadline`, so a
+    hung loop is noticed by the node like a dead process, a little later.
+    """
+
+    def __init__(self, session: Session, config: CellConfig, holder: str) -> None:
+        keys = session.keys
+        self._session, self._config, self._holder = session, config, holder
+        self._clock: Clock = WallClock()
+        self._period = config.supervisor.ticks_per_cycle * config.arm.control_period
+        self._joints = session.latest(keys.joint_states, JointState)
+        self._arm = session.latest(keys.arm_status, ArmStatus)
+        self._gripper = session.latest(keys.gripper_state, GripperState)
+        self._belt = session.latest(keys.belt_state, BeltState)
+        self._frames = {name: session.latest_frame(name) for name in config.cameras}
+        self._heart = Heart(session, holder, config.supervisor.heartbeat_deadline)
+        self._offset: float | None = None
+        self._next = self._clock.now()
+        self._wait_for_data()
+
+    def exchange(self, commands: tuple[Command, ...]) -> Inputs:
+        replies = tuple((c.ticket, send(self._session, c)) for c in commands)
+        # Absolute schedule; a late cycle starts the next one at once, without catching up.
+        self._next = max(self._next + self._period, self._clock.now() - self._period)
+        self._clock.sleep_until(self._next)
+        self._heart.loop_lives()
+        now, oldest = self._now(), self._config.supervisor.max_state_age
+        joints = self._joints.get(now, oldest)
+        frames: list[Frame] = []
+        for reader in self._frames.values():
+            frames += reader.take_all()
+        return Inputs(
+            t=joints.t,
+            joints=joints,
+            arm=self._arm.get(now, oldest),
+            gripper=self._gripper.get(now, oldest),
+            belt=self._belt.get(now, 1.0),
+            frames=tuple(frames),
+            replies=replies,
+        )
+
+    def stop(self, reason: str) -> None:
+        self._session.call(self._session.keys.stop, Stop(self._holder, reason), Reply)
+        end = self._clock.now() + 3.0
+        while self._clock.now() < end:
+            self._clock.sleep_until(self._clock.now() + 0.02)
+            arm = self._arm.peek()
+            if arm is not None and arm.stopped and not arm.moving:
+                return
+
+    def close(self) -> None:
+        self._heart.close()
+
+    def _now(self) -> float:
+        """Present time on the node's clock [s], from its newest sample and our own clock."""
+        wall = self._clock.now()
+        newest = self._joints.peek()
+        if newest is not None:
+            offset = newest.t - wall
+            # The least delayed sample knows best; forget slowly in case the clocks drift.
+            held = offset if self._offset is None else self._offset - 1e-4
+            self._offset = max(offset, held)
+        return wall + (self._offset or 0.0)
+
+    def _wait_for_data(self) -> None:
+        """Block until every reader has something; raises `StaleError` naming what is missing."""
+        for reader in (self._joints, self._arm, self._gripper, self._belt):
+            if reader.peek() is None:
+                reader.wait(_FIRST_DATA)
+        self._next = self._clock.now()
+
+
+class Heart:
+    """Beats on the wire from its own thread while the decision loop is alive."""
+
+    def __init__(self, session: Session, holder: str, deadline: float) -> None:
+        self._session, self._holder = session, holder
+        self._beat, self._loop_deadline = 0.3 * deadline, 5.0 * deadline
+        self._clock = WallClock()
+        self._alive = self._clock.now()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
+        self._thread.start()
+
+    def loop_lives(self) -> None:
+        """The decision loop came by."""
+        self._alive = self._clock.now()
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join(1.0)
+
+    def _run(self) -> None:
+        seq = 0
+        while not self._ended.wait(self._beat):
+            now = self._clock.now()
+            if now - self._alive <= self._loop_deadline:
+                seq += 1
+                self._session.publish(self._session.keys.heartbeat, Heartbeat(self._holder, seq, now))
+
+
+def _inputs(reply: StepReply, replies: tuple[tuple[int, Reply], ...]) -> Inputs:
+    return Inputs(
+        t=reply.joint_state.t,
+        joints=reply.joint_state,
+        arm=reply.arm_status,
+        gripper=reply.gripper_state,
+        belt=reply.belt_state,
+        frames=reply.frames,
+        replies=replies,
+    )

@@ -1,0 +1,101 @@
+"""Measures a round from outside: executed speeds, lost samples, digests of everything.
+
+`Meter` taps the joint states on the wire, so what it reports is what the arm did, not what
+was planned.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+
+import numpy as np
+
+from cell.config import CellConfig
+from cell.decision.io import Inputs, Outputs
+from cell.limits import tcp_positions
+from cell.wire import codec
+from cell.wire.session import Session, Tapped
+from cell.wire.types import JointState
+from cell.wire.vocabulary import Mode
+
+
+class Meter:
+    """Collects one round's joint states and hashes joint states, images and decisions."""
+
+    def __init__(self, session: Session, config: CellConfig) -> None:
+        self._config = config
+        self._lock = threading.Lock()
+        self._samples: list[JointState] = []
+        self._modes: list[tuple[float, int]] = []
+        self.lost = 0
+        self._images, self._decisions = hashlib.sha256(), hashlib.sha256()
+        session.listen_all(session.keys.joint_states, self._store)
+
+    def note(self, inputs: Inputs, outputs: Outputs) -> None:
+        """Take in one supervisor tick."""
+        for frame in inputs.frames:
+            self._images.update(frame.rgb.tobytes())
+            self._images.update(frame.depth.tobytes())
+        self._decisions.update(codec.encode(outputs.state))
+        for command in outputs.commands:
+            self._decisions.update(codec.encode(command.order))
+        if not self._modes or self._modes[-1][1] != outputs.state.mode:
+            self._modes.append((inputs.t, outputs.state.mode))
+
+    def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Executed t (N,) [s], q (N, 6) [rad], qd (N, 6) [rad/s]."""
+        with self._lock:
+            samples = list(self._samples)
+        return (
+            np.array([s.t for s in samples]),
+            np.array([s.q for s in samples]).reshape(-1, 6),
+            np.array([s.qd for s in samples]).reshape(-1, 6),
+        )
+
+    def max_tcp_speed(self) -> dict[str, float]:
+        """Largest executed TCP speed per mode [m/s], by central differences of positions."""
+        t, q, _ = self.motion()
+        out = {"collaborative": 0.0, "industrial": 0.0}
+        if len(t) < 3:
+            return out
+        p = tcp_positions(q, self._config.gripper.length)
+        speed = np.linalg.norm(p[2:] - p[:-2], axis=1) / (t[2:] - t[:-2])
+        starts = np.array([start for start, _ in self._modes])
+        modes = np.array([mode for _, mode in self._modes])
+        index = np.clip(np.searchsorted(starts, t[1:-1], side="right") - 1, 0, None)
+        for name, mode in (("collaborative", Mode.COLLABORATIVE), ("industrial", Mode.INDUSTRIAL)):
+            of_mode = speed[modes[index] == mode]
+            out[name] = float(of_mode.max()) if of_mode.size else 0.0
+        return out
+
+    def time_in(self, mode: Mode, end: float) -> float:
+        """Time spent in a mode until `end` [s]."""
+        total = 0.0
+        for i, (start, value) in enumerate(self._modes):
+            until = self._modes[i + 1][0] if i + 1 < len(self._modes) else end
+            total += until - start if value == mode else 0.0
+        return total
+
+    @property
+    def mode_switches(self) -> int:
+        """Changes between collaborative and industrial mode."""
+        working = [m for _, m in self._modes if m in (Mode.COLLABORATIVE, Mode.INDUSTRIAL)]
+        return sum(a != b for a, b in zip(working, working[1:], strict=False))
+
+    def digests(self) -> dict[str, str]:
+        """SHA-256 of the executed joint states, the images and the decisions."""
+        joints = hashlib.sha256()
+        for part in self.motion():
+            joints.update(np.ascontiguousarray(part).tobytes())
+        return {
+            "joint_states": joints.hexdigest(),
+            "images": self._images.hexdigest(),
+            "decisions": self._decisions.hexdigest(),
+        }
+
+    def _store(self, sample: Tapped) -> None:
+        state = codec.decode(JointState, sample.payload)
+        with self._lock:
+            self.lost += sample.missed
+            self._samples.append(state)

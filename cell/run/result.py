@@ -1,0 +1,99 @@
+"""The result of a round: judged against the truth where there is one, written as JSON."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+from cell.errors import ConfigError
+from cell.wire.types import Truth
+
+
+@dataclass(frozen=True)
+class RoundResult:
+    """One round; field names are the JSON contract. Times [s], speeds [m/s], distances [m]."""
+
+    backend: str
+    policy: str
+    seed: int
+    person: str
+    onions: int
+    sorted: int
+    by_robot: int
+    by_human: int
+    misplaced: int
+    dropped: int
+    sort_time_s: float
+    mode_switches: int
+    industrial_s: float
+    min_separation_m: float | None
+    max_tcp_speed_m_s: dict[str, float]
+    gesture_delay_s: float | None
+    real_time_factor: float
+    commit: str
+    version: str
+    failure: str = ""
+    arm_contacts: int = 0
+    joint_states_lost: int = 0
+    sha256: dict[str, str] = field(default_factory=dict)
+    misses: tuple[str, ...] = ()
+
+    @property
+    def succeeded(self) -> bool:
+        """The round completed with every onion handled and nothing dropped."""
+        return not self.failure and self.dropped == 0 and self.sorted >= self.onions
+
+    def write(self, path: Path) -> None:
+        """Write the JSON file; raises `ConfigError` when the place cannot be written."""
+        try:
+            path.write_text(json.dumps(asdict(self), indent=2) + "\n")
+        except OSError as error:
+            raise ConfigError(f"cannot write {path}: {error.strerror}") from None
+
+
+def judge(truth: Truth) -> tuple[int, int, tuple[str, ...]]:
+    """(misplaced, dropped, a line per miss) by the world's own labels.
+
+    Misplaced: a blemished onion on the belt or a sound one in the bin. Dropped: an onion that
+    is neither on the belt nor in the bin when the round is over.
+    """
+    misplaced, dropped, lines = 0, 0, []
+    for i, (blemished, place) in enumerate(zip(truth.blemished, truth.place, strict=True)):
+        kind = "blemished" if blemished else "sound"
+        where = ", ".join(f"{v:.3f}" for v in np.asarray(truth.p_WO[i]))
+        if place not in ("belt", "bin"):
+            dropped += 1
+            lines.append(f"onion {i} ({kind}) dropped: {place} at ({where}) m")
+        elif (place == "bin") != bool(blemished):
+            misplaced += 1
+            lines.append(f"onion {i} ({kind}) ended on the {place} at ({where}) m")
+    return misplaced, dropped, tuple(lines)
+
+
+def code_version() -> str:
+    """Version of the installed package, or "unknown"."""
+    try:
+        return version("sorting-cell")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def commit() -> str:
+    """Short commit of the checkout that holds this file, with "+" when it has changes; or "unknown"."""
+    folder = Path(__file__).resolve().parent
+    try:
+        out = subprocess.run(
+            ["git", "-C", str(folder), "describe", "--always", "--dirty=+", "--abbrev=12"],
+            capture_output=True,
+            text=True,
+            timeout=5,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return out.stdout.strip()

@@ -1,0 +1,178 @@
+"""One round from start to result."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import NoReturn
+
+from cell.clock import perf_s
+from cell.config import CellConfig
+from cell.decision.io import Inputs, Outputs
+from cell.decision.policy import PolicyTable
+from cell.decision.supervisor import Supervisor
+from cell.errors import CellError
+from cell.motion.planner import Planner
+from cell.motion.reach import check_reachable
+from cell.motion.views import InspectionViews
+from cell.perception.detector import Detector
+from cell.record.recorder import Recorder
+from cell.run.link import Link, LiveLink, StepLink
+from cell.run.measure import Meter
+from cell.run.node_process import NodeProcess
+from cell.run.result import RoundResult, code_version, commit, judge
+from cell.wire.session import Session
+from cell.wire.types import Truth, TruthRequest
+from cell.wire.vocabulary import Mode
+
+HOLDER = "supervisor"
+Watcher = Callable[[Inputs, Outputs], None]
+"""Called after every tick; must be quick and must not raise."""
+
+
+@dataclass(frozen=True)
+class RoundOptions:
+    """What to run.
+
+    Attributes:
+        backend: name of the node's backend.
+        lock_step: simulated time moves only with the supervisor, as fast as the machine can.
+        seed, onions: the batch.
+        record: MCAP file to write, or None.
+    """
+
+    backend: str = "sim"
+    lock_step: bool = True
+    seed: int = 0
+    onions: int = 15
+    record: Path | None = None
+
+
+def run_round(
+    config: CellConfig, policy: PolicyTable, options: RoundOptions, watch: Watcher | None = None
+) -> RoundResult:
+    """Start a node, sort one batch, judge it, and end everything that was started.
+
+    Raises:
+        CellError: nothing could be run (bad configuration, port in use, missing weights, ...).
+        KeyboardInterrupt: the user interrupted; the arm was stopped on its path first.
+    """
+    check_reachable(config)
+    detector = Detector(Path(config.detector) if config.detector else None)
+    with ExitStack() as stack:
+        node = stack.enter_context(
+            NodeProcess(
+                config,
+                backend=options.backend,
+                lock_step=options.lock_step,
+                seed=options.seed,
+                onions=options.onions,
+            )
+        )
+        # While the node builds its world, this process plans its inspection views.
+        planner = Planner(config)
+        supervisor = Supervisor(config, policy, planner, InspectionViews(config), detector, HOLDER)
+        node.wait_ready()
+        session = stack.enter_context(Session.connect(config))
+        meter = Meter(session, config)
+        if options.record is not None:
+            recorder = Recorder(config, options.record)
+            stack.callback(recorder.close)
+        link: Link = (StepLink if options.lock_step else LiveLink)(session, config, HOLDER)
+        stack.callback(link.close)
+        with _interruptible():
+            return _drive(supervisor, link, session, meter, options, policy, watch)
+
+
+def _drive(
+    supervisor: Supervisor,
+    link: Link,
+    session: Session,
+    meter: Meter,
+    options: RoundOptions,
+    policy: PolicyTable,
+    watch: Watcher | None,
+) -> RoundResult:
+    """The loop itself; stops the arm on its path whatever ends it early."""
+    began = perf_s()
+    try:
+        inputs = link.exchange(())
+        start = inputs.t
+        while True:
+            outputs = supervisor.tick(inputs)
+            meter.note(inputs, outputs)
+            _publish(session, outputs)
+            if watch is not None:
+                watch(inputs, outputs)
+            if outputs.done:
+                break
+            inputs = link.exchange(outputs.commands)
+    except (KeyboardInterrupt, CellError) as error:
+        link.stop("interrupted by the user" if isinstance(error, KeyboardInterrupt) else str(error))
+        raise
+    duration = inputs.t - start
+    factor = duration / max(perf_s() - began, 1e-9)
+    if options.lock_step:
+        _settle(link)
+    truth = session.call(session.keys.sim_truth, TruthRequest(HOLDER), Truth)
+    misplaced, dropped, misses = judge(truth)
+    return RoundResult(
+        backend=options.backend,
+        policy=policy.name,
+        seed=options.seed,
+        person="none",
+        onions=options.onions,
+        sorted=outputs.state.sorted,
+        by_robot=outputs.state.sorted,
+        by_human=0,
+        misplaced=misplaced,
+        dropped=dropped,
+        sort_time_s=round(duration, 6),
+        mode_switches=meter.mode_switches,
+        industrial_s=round(meter.time_in(Mode.INDUSTRIAL, inputs.t), 6),
+        min_separation_m=None,
+        max_tcp_speed_m_s=meter.max_tcp_speed(),
+        gesture_delay_s=None,
+        real_time_factor=round(factor, 3),
+        commit=commit(),
+        version=code_version(),
+        failure=outputs.failure,
+        arm_contacts=truth.arm_contacts,
+        joint_states_lost=meter.lost,
+        sha256=meter.digests(),
+        misses=misses,
+    )
+
+
+def _settle(link: Link) -> None:
+    """Let the last onion come to rest before the round is judged."""
+    for _ in range(25):
+        link.exchange(())
+
+
+def _publish(session: Session, outputs: Outputs) -> None:
+    """Tell watchers, recorders and viewers."""
+    session.publish(session.keys.supervisor_state, outputs.state)
+    for detections in outputs.detections:
+        session.publish(session.keys.detections, detections)
+    for event in outputs.events:
+        session.publish(session.keys.events, event)
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """SIGTERM ends a round like Ctrl-C does: arm stopped on its path, everything closed."""
+
+    def interrupt(number: int, frame: FrameType | None) -> NoReturn:
+        del number, frame
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,151 @@
+"""Geometry on the GPU: visuals with equally large textures share buffers and one draw call."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.frames import Array
+from hil.sim.render.mesh import Mesh
+from hil.sim.render.scene import Scene, Visual
+from hil.sim.render.shaders import VISUALS_PER_DRAW
+
+CASTER_RADIUS = 1.2
+"""Larger shapes (floors, walls) receive shadows but cast none [m]."""
+_ROW = 20  # floats per visual in the uniform block
+_BLOCK_BINDING = 0
+_SKINS_UNIT = 0
+
+
+class Batch:
+    """Up to 512 visuals: vertex buffers, textures, and one record per visual.
+
+    Attributes:
+        keys: per visual, PyBullet (body, link).
+        X_LV: shape (N, 4, 4).
+        centers_V, radii: bounding spheres in the visuals' frames, shape (N, 3), (N,) [m].
+        casters: number of leading visuals that cast shadows.
+    """
+
+    def __init__(self, ctx: Any, programs: dict[str, Any], items: list[tuple[int, Visual]]) -> None:
+        spheres = {handle: _bounding_sphere(visual.mesh) for handle, visual in items}
+        items = sorted(items, key=lambda item: spheres[item[0]][1] > CASTER_RADIUS)
+        self.keys = [(visual.body, visual.link) for _, visual in items]
+        self.X_LV = np.array([visual.X_LV for _, visual in items], dtype=np.float64)
+        self.centers_V = np.array([spheres[handle][0] for handle, _ in items])
+        self.radii = np.array([spheres[handle][1] for handle, _ in items])
+        self.casters = int((self.radii <= CASTER_RADIUS).sum())
+        self._handles = [handle for handle, _ in items]
+        self._seen = dict.fromkeys(self._handles, 0)
+        self._build_buffers(ctx, programs, [visual for _, visual in items])
+
+    def _build_buffers(self, ctx: Any, programs: dict[str, Any], visuals: list[Visual]) -> None:
+        textured = visuals[0].texture is not None
+        counts = [len(visual.mesh.vertices) for visual in visuals]
+        starts = np.concatenate([[0], np.cumsum(counts)])
+        self._starts = dict(zip(self._handles, starts[:-1].tolist(), strict=True))
+        fixed = np.zeros(int(starts[-1]), dtype=[("uv", "<f4", 2), ("color", "u1", 4), ("visual", "<i4")])
+        for number, visual in enumerate(visuals):
+            part = fixed[starts[number] : starts[number + 1]]
+            part["visual"] = number
+            part["color"][:, :3] = 255 if visual.mesh.colors is None else visual.mesh.colors
+            if visual.mesh.uv is not None:
+                part["uv"] = visual.mesh.uv
+        moving = np.vstack([_position_normal(visual.mesh) for visual in visuals])
+        faces = [v.mesh.faces + first for v, first in zip(visuals, starts[:-1], strict=True)]
+        self._moving = ctx.buffer(moving.tobytes(), dynamic=True)
+        self._fixed = ctx.buffer(fixed.tobytes())
+        index = ctx.buffer(np.vstack(faces).astype("<i4").tobytes())
+        self._caster_indices = 3 * sum(len(f) for f in faces[: self.casters])
+        self._records = np.zeros((len(visuals), _ROW), dtype="<f4")
+        self._records[:, 12:15] = [visual.rgba[:3] for visual in visuals]
+        self._records[:, 15] = [visual.label + 1 for visual in visuals]
+        self._records[:, 16] = np.arange(len(visuals)) if textured else -1
+        self._block = ctx.buffer(reserve=VISUALS_PER_DRAW * _ROW * 4, dynamic=True)
+        self._skins = _texture_array(ctx, visuals) if textured else None
+        self._color_vao = ctx.vertex_array(
+            programs["textured" if textured else "plain"],
+            [
+                (self._moving, "3f 3f", "in_position", "in_normal"),
+                (self._fixed, "2f 4f1 1i" if textured else "8x 4f1 1i", *(["in_uv"] if textured else []), "in_color", "in_visual"),
+            ],
+            index,
+        )  # fmt: skip
+        self._shadow_vao = ctx.vertex_array(
+            programs["shadow"],
+            [(self._moving, "3f 12x", "in_position"), (self._fixed, "12x 1i", "in_visual")],
+            index,
+        )
+        self._resources = [
+            self._color_vao, self._shadow_vao, self._moving, self._fixed, index, self._block,
+            *([self._skins] if self._skins else []),
+        ]  # fmt: skip
+
+    def follow(self, scene: Scene) -> None:
+        """Upload the vertices of visuals that were deformed since the last call."""
+        for handle in self._handles:
+            count = scene.deformed.get(handle, 0)
+            if count == self._seen[handle]:
+                continue
+            self._seen[handle] = count
+            mesh = scene[handle].mesh
+            number = self._handles.index(handle)
+            self.centers_V[number], self.radii[number] = _bounding_sphere(mesh)
+            self._moving.write(_position_normal(mesh).tobytes(), offset=24 * self._starts[handle])
+
+    def place(self, X_CW: Array, X_WV: Array) -> None:
+        """Set where the visuals are: X_WV shape (N, 4, 4)."""
+        self._records[:, :12] = (X_CW @ X_WV)[:, :3].reshape(-1, 12)
+        self._block.write(self._records.tobytes())
+
+    def draw_shadow(self) -> None:
+        if self._caster_indices:
+            self._block.bind_to_uniform_block(_BLOCK_BINDING)
+            self._shadow_vao.render(vertices=self._caster_indices)
+
+    def draw(self) -> None:
+        self._block.bind_to_uniform_block(_BLOCK_BINDING)
+        if self._skins is not None:
+            self._skins.use(_SKINS_UNIT)
+        self._color_vao.render()
+
+    def release(self) -> None:
+        for resource in self._resources:
+            resource.release()
+        self._resources = []
+
+
+def make_batches(ctx: Any, programs: dict[str, Any], scene: Scene) -> list[Batch]:
+    """Group the scene's visuals by texture size."""
+    groups: dict[tuple[int, ...], list[tuple[int, Visual]]] = {}
+    for handle, visual in scene.items():
+        shape = () if visual.texture is None else visual.texture.shape
+        groups.setdefault(shape, []).append((handle, visual))
+    size = VISUALS_PER_DRAW
+    return [
+        Batch(ctx, programs, group[i : i + size])
+        for group in groups.values()
+        for i in range(0, len(group), size)
+    ]
+
+
+def _texture_array(ctx: Any, visuals: list[Visual]) -> Any:
+    """One layer per visual; OpenGL's first row is v = 0, which is the image's bottom row."""
+    layers = [visual.texture[::-1] for visual in visuals if visual.texture is not None]
+    height, width = layers[0].shape[:2]
+    array = ctx.texture_array((width, height, len(layers)), 4, np.stack(layers).tobytes())
+    array.build_mipmaps()
+    array.filter = (ctx.LINEAR_MIPMAP_NEAREST, ctx.LINEAR)
+    array.repeat_y = False
+    return array
+
+
+def _position_normal(mesh: Mesh) -> NDArray[np.float32]:
+    return np.hstack([mesh.vertices, mesh.normals]).astype("<f4")
+
+
+def _bounding_sphere(mesh: Mesh) -> tuple[Array, float]:
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    return (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
