@@ -79,12 +79,16 @@ class Backend(Protocol):
     def close(self) -> None: ...
 
 
-def make_backend(name: str, config: CellConfig) -> Backend:
-    """Build the backend called `name`; raises `ConfigError` listing the names there are."""
+def make_backend(name: str, config: CellConfig, *, seed: int = 0, onions: int = 15) -> Backend:
+    """Build the backend called `name`; raises `ConfigError` listing the names there are.
+
+    Args:
+        seed, onions: the first batch, for simulated backends.
+    """
     from cell.errors import ConfigError, one_of
 
     if name == "sim":
         from hil.sim.backend import SimBackend
 
-        return SimBackend(config)
+        return SimBackend(config, seed, onions)
     raise ConfigError(f"backend: {one_of(name, ['sim'])}")

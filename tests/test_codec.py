@@ -40,8 +40,27 @@ def examples() -> list[Any]:
     js, status = joint_state(), T.ArmStatus(12.5, trajectory_id=4, progress=0.25, moving=True, lease="sup")
     gripper, belt = T.GripperState(12.5, 0.05, 0.0, False, True), T.BeltState(12.5, 1, False, 0.0)
     state = T.SupervisorState(
-        1.0, 2, 3, "descend", 1, 2, 0, 1, 0.5, False, False, math.inf, 0.25, "mode", 3, 1, 2, 12, "done", (0.3, 0.1, -0.1)
-    )  # fmt: skip
+        t=1.0,
+        mode=2,
+        action=3,
+        phase="descend",
+        onion_location=1,
+        eef_location=2,
+        prediction=0,
+        own_type=1,
+        belief=0.5,
+        requested_industrial=False,
+        permitted_industrial=False,
+        separation=math.inf,
+        speed_cap=0.25,
+        binding_cap="mode",
+        sorted=3,
+        in_bin=1,
+        on_conveyor=2,
+        remaining=12,
+        reason="done",
+        target=(0.3, 0.1, -0.1),
+    )
     return [
         js,
         status,
@@ -53,20 +72,24 @@ def examples() -> list[Any]:
         gripper,
         T.BeltCommand("supervisor", 15, 2**40),
         belt,
-        T.CameraInfo(1.0, "belt_camera_optical_frame", 640, 480, 615.0, 615.0, 319.5, 239.5),
+        T.CameraInfo(1.0, "camera_belt", 640, 480, 615.0, 615.0, 319.5, 239.5),
         frame(),
         T.Image(2.0, "belt", frame().rgb),
         T.Image(2.0, "person", frame().depth),
         T.Capture("supervisor"),
         T.Heartbeat("supervisor", 17, 1.0),
-        T.Detections(1.0, "belt", (T.Box((10.0, 20.0, 50.0, 70.0), "blemished", 0.75), T.Box((0, 0, 1, 1), "ä", 1))),
+        T.Detections(
+            1.0, "belt", (T.Box((10.0, 20.0, 50.0, 70.0), "blemished", 0.75), T.Box((0, 0, 1, 1), "ä", 1))
+        ),
         state,
         T.StepRequest("supervisor", 5),
         T.StepReply(js, status, gripper, belt),
         T.StepReply(js, status, gripper, belt, (frame(), frame(5, 7))),
         T.ResetRequest("supervisor", 12345, 15),
         T.TruthRequest("judge"),
-        T.Truth(4.0, np.array([True, False]), ("bin", "belt"), RNG.uniform(-1, 1, (2, 3)), np.ones(2), 1, ("a",)),
+        T.Truth(
+            4.0, np.array([True, False]), ("bin", "belt"), RNG.uniform(-1, 1, (2, 3)), np.ones(2), 1, ("a",)
+        ),
         T.Event(1.0, 20, "node", "two lines\nof text"),
         T.ClockTick(0.008),
     ]
@@ -149,7 +172,11 @@ def test_every_cut_and_every_extra_byte_is_refused(message: Any) -> None:
 
 
 @settings(max_examples=400, deadline=None, suppress_health_check=list(HealthCheck))
-@given(st.sampled_from(sorted(message_classes(), key=lambda c: c.__name__)), st.binary(max_size=600), st.booleans())
+@given(
+    st.sampled_from(sorted(message_classes(), key=lambda c: c.__name__)),
+    st.binary(max_size=600),
+    st.booleans(),
+)
 def test_any_bytes_decode_or_raise_decode_error(cls: type[Any], data: bytes, headed: bool) -> None:
     try:
         decode(cls, (b"\0\1\0\0" if headed else b"") + data)
@@ -159,7 +186,9 @@ def test_any_bytes_decode_or_raise_decode_error(cls: type[Any], data: bytes, hea
 
 @settings(max_examples=1500, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.sampled_from(BYTES), st.data())
-def test_flipped_bits_decode_or_raise_decode_error(valid: tuple[type[Any], bytes], draw: st.DataObject) -> None:
+def test_flipped_bits_decode_or_raise_decode_error(
+    valid: tuple[type[Any], bytes], draw: st.DataObject
+) -> None:
     cls, data = valid
     damaged = bytearray(data)
     for _ in range(draw.draw(st.integers(1, 3))):
@@ -173,7 +202,9 @@ def test_flipped_bits_decode_or_raise_decode_error(valid: tuple[type[Any], bytes
 
 @settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.sampled_from(BYTES), st.data())
-def test_wild_lengths_decode_or_raise_decode_error(valid: tuple[type[Any], bytes], draw: st.DataObject) -> None:
+def test_wild_lengths_decode_or_raise_decode_error(
+    valid: tuple[type[Any], bytes], draw: st.DataObject
+) -> None:
     """Any aligned word may be a count: huge ones must not allocate or loop."""
     cls, data = valid
     damaged = bytearray(data)
@@ -216,6 +247,14 @@ def test_depth_must_be_finite_and_not_negative(value: float) -> None:
     f.depth[3, 4] = value
     with pytest.raises(DecodeError, match="depth contains"):
         decode(T.Frame, encode(f))
+
+
+def test_an_image_names_the_frame_of_its_camera_info() -> None:
+    ros = _ros(T.Image(1.0, "belt", frame().rgb))
+    assert ros.header.frame_id == "camera_belt"
+    ros.header = dataclasses.replace(ros.header, frame_id="map")
+    with pytest.raises(DecodeError, match="frame_id 'map' does not start with camera_"):
+        decode(T.Image, _bytes(ros))
 
 
 def _ros(message: Any) -> Any:
@@ -309,7 +348,7 @@ def test_images_need_not_be_contiguous() -> None:
 
 
 @settings(deadline=None)
-@given(st.integers(0, 2**31 * 10**9 - 1))
+@given(st.integers(0, (2**31 - 1) * 10**9))
 def test_a_time_sent_again_stays_the_same(ns: int) -> None:
     once = decode(T.ClockTick, encode(T.ClockTick(ns / 10**9))).t
     assert abs(once - ns / 10**9) < 3e-7

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from mcap.writer import CompressionType, Writer
 
@@ -58,7 +59,8 @@ class McapFile:
             self._file = path.open("wb")
         except OSError as error:
             raise ConfigError(f"recording {path}: {error.strerror}") from None
-        self._writer = Writer(self._file, chunk_size=_CHUNK, compression=CompressionType.ZSTD)
+        # Half of its methods are untyped.
+        self._writer: Any = Writer(self._file, chunk_size=_CHUNK, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library="adaptive-sorting-cell")
         self._schemas: dict[str, int] = {}
         self._channels: dict[tuple[str, str], int] = {}

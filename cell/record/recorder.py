@@ -17,7 +17,8 @@ from typing import Self
 from cell.clock import WallClock
 from cell.config import CellConfig
 from cell.record.mcap_writer import McapFile
-from cell.wire.session import Session, Tapped
+from cell.wire.service import Tapped
+from cell.wire.session import Session
 
 _log = logging.getLogger("cell.record")
 
@@ -32,7 +33,7 @@ class Counts:
     """What became of the samples.
 
     Attributes:
-        written: recorded. dropped: given up because the disk was too slow or failed.
+        written: safely in the file. dropped: given up because the disk was too slow or failed.
         missed: lost on the wire before they arrived here. unknown: of a type that has no schema.
     """
 
@@ -64,6 +65,7 @@ class Recorder:
         self._samples: deque[Tapped] = deque()
         self._waiting = 0
         self._written = self._dropped = self._missed = self._unknown = 0
+        self._unflushed = 0
         self._failed = self._closing = self._closed = self._warned_slow = False
         self._unknown_types: set[str] = set()
         self._wake = threading.Condition()
@@ -138,7 +140,7 @@ class Recorder:
             self._failed = True
             self._file.abandon()
             with self._wake:
-                self._dropped += len(self._samples)
+                self._dropped += len(self._samples) + self._unflushed
                 self._samples.clear()
                 self._waiting = 0
             why = error.strerror or str(error)
@@ -154,14 +156,21 @@ class Recorder:
                 break
             if self._clock.now() >= flush_at:
                 self._file.flush()
+                self._flushed()
                 flush_at = self._clock.now() + _FLUSH_S
         self._file.close()
+        self._flushed()
+
+    def _flushed(self) -> None:
+        self._written += self._unflushed
+        self._unflushed = 0
 
     def _write(self, sample: Tapped) -> None:
+        self._unflushed += 1
         try:
             self._file.add(f"/{sample.key}", sample.ros_type, sample.t, sample.seq, sample.payload)
-            self._written += 1
         except KeyError:
+            self._unflushed -= 1
             self._unknown += 1
             if sample.ros_type not in self._unknown_types:
                 self._unknown_types.add(sample.ros_type)

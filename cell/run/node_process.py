@@ -19,14 +19,14 @@ _END_TIME = 6.0
 
 
 class NodeProcess:
-    """`python -m hil.node` as a context manager.
+    """`python -m hil` as a context manager.
 
     The node lives in its own process group, so Ctrl-C reaches only the supervisor; it watches
     its standard input and ends by itself when this process dies.
     """
 
     def __init__(self, config: CellConfig, *, backend: str, lock_step: bool, seed: int, onions: int) -> None:
-        command = [sys.executable, "-m", "hil.node", "--backend", backend, "--config-json", "-"]
+        command = [sys.executable, "-m", "hil", "--backend", backend]
         command += ["--seed", str(seed), "--onions", str(onions)]
         if lock_step:
             command.append("--lock-step")

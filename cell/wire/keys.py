@@ -97,7 +97,7 @@ class Keys:
 
     @property
     def sim_reset(self) -> str:
-        """Query, simulation only: `ResetRequest` -> `StepReply` or `Reply`."""
+        """Query, simulation only: `ResetRequest` -> `StepReply` of the new world, or a refusal."""
         return f"{self.name}/sim/reset"
 
     @property

@@ -31,7 +31,7 @@ MAX_BOXES = 1000
 #: Size limit of messages that carry a few numbers and short texts [bytes].
 SMALL = 64 * 1024
 
-_OPTICAL = "_camera_optical_frame"
+_FRAME = "camera_"
 _LEVELS = (10, 20, 30, 40, 50)
 
 
@@ -66,8 +66,8 @@ class Simple(Generic[M]):
 
 
 def optical_frame(camera: str) -> str:
-    """ROS frame id of a camera's optical frame."""
-    return camera + _OPTICAL
+    """ROS frame id of a camera's optical frame C: "camera_belt", as in its CameraInfo."""
+    return _FRAME + camera
 
 
 def header(t: float, frame_id: str = "") -> Any:
@@ -77,9 +77,9 @@ def header(t: float, frame_id: str = "") -> Any:
 
 def camera_of(frame_id: str) -> str:
     """Inverse of `optical_frame`; raises DecodeError for any other frame."""
-    if not cdr.text(frame_id, "frame_id").endswith(_OPTICAL):
-        raise DecodeError(f"frame_id {frame_id[:80]!r} does not end in {_OPTICAL}")
-    return frame_id.removesuffix(_OPTICAL)
+    if not cdr.text(frame_id, "frame_id").startswith(_FRAME):
+        raise DecodeError(f"frame_id {frame_id[:80]!r} does not start with {_FRAME}")
+    return frame_id.removeprefix(_FRAME)
 
 
 def check_size(width: int, height: int) -> None:

@@ -206,7 +206,9 @@ class TrajectoryLayout:
             cdr.text(head.holder, "holder"),
             cdr.seconds(head.start, "start"),
             cdr.seconds(head.expires, "expires"),
-            cdr.frozen((points["sec"].astype(np.int64) * 10**9 + points["nanosec"]) / 1e9, "trajectory times"),
+            cdr.frozen(
+                (points["sec"].astype(np.int64) * 10**9 + points["nanosec"]) / 1e9, "trajectory times"
+            ),
             cdr.frozen(points["q"].astype(np.float64), "trajectory q"),
             cdr.frozen(points["qd"].astype(np.float64), "trajectory qd"),
         )

@@ -95,6 +95,4 @@ def join(seq: int, color: Image, depth: Image) -> Frame:
         raise DecodeError(f"a frame needs rgb8 and 32FC1 of one size, got {rgb.shape} and {z.shape}")
     if color.camera != depth.camera or color.t != depth.t:
         raise DecodeError("the two images of a frame differ in camera or time")
-    return Frame(
-        color.camera, seq, color.t, cast(NDArray[np.uint8], rgb), cast(NDArray[np.float32], z)
-    )
+    return Frame(color.camera, seq, color.t, cast(NDArray[np.uint8], rgb), cast(NDArray[np.float32], z))

@@ -2,28 +2,34 @@
 
 Zenoh's Python callbacks run on threads that the interpreter waits for when it exits, so a
 session left open would hang the process. No callbacks are used here: samples wait in
-rings, and the threads that serve queries or feed taps are daemons of our own.
+rings, and the threads that serve queries or feed taps are daemons of our own. Sessions
+still open at exit are closed then, because a thread that is inside Zenoh when the
+interpreter goes down would abort the process.
 """
 
 from __future__ import annotations
 
+import atexit
 import logging
 import secrets
 import threading
+import weakref
 from collections.abc import Callable
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
 import zenoh
 
 from cell.config import CellConfig
-from cell.errors import CellError, DecodeError, RefusedError, WireError
+from cell.errors import WireError
 from cell.wire import codec
 from cell.wire.endpoint import ATTACHMENT, BULK, SMALL, first_line, open_client, open_listener
 from cell.wire.keys import Keys
-from cell.wire.reader import Gaps, Latest, LatestFrame, attached
+from cell.wire.reader import Latest, LatestFrame
+from cell.wire.service import Tapped, answerer, pump, ros_type_of, tap
 from cell.wire.types import Frame, Image, Reply
+
+__all__ = ["Session", "Tapped"]
 
 M = TypeVar("M")
 Q = TypeVar("Q")
@@ -31,27 +37,8 @@ Q = TypeVar("Q")
 _log = logging.getLogger("cell.wire")
 
 #: Samples or queries that wait for a slow reader before the oldest is dropped.
-_RING_SMALL, _RING_IMAGES, _RING_QUERIES = 256, 8, 64
+_RING_SMALL, _RING_IMAGES, _RING_TAP, _RING_QUERIES = 256, 8, 2048, 64
 _JOIN_S = 1.0
-
-
-@dataclass(frozen=True)
-class Tapped:
-    """A sample as a tap sees it: undecoded.
-
-    Attributes:
-        key: channel it came on. payload: CDR bytes.
-        seq: its sender's sequence number. t: source time [s].
-        ros_type: e.g. "sensor_msgs/msg/Image"; empty if the sender did not say.
-        missed: messages of this sender lost on this channel just before.
-    """
-
-    key: str
-    payload: bytes
-    seq: int
-    t: float
-    ros_type: str
-    missed: int
 
 
 class _Channel:
@@ -81,6 +68,7 @@ class Session:
         self._channels: dict[str, _Channel] = {}
         self._declared: list[zenoh.Subscriber[Any] | zenoh.Queryable[Any]] = []
         self._threads: list[threading.Thread] = []
+        _open_sessions.add(self)
 
     @classmethod
     def listen(cls, config: CellConfig) -> Session:
@@ -111,6 +99,10 @@ class Session:
             WireError: the message cannot be encoded, or the session is closed.
         """
         payload = codec.encode(message)
+        if not hasattr(message, "t"):
+            raise WireError(
+                f"{type(message).__name__} carries no time: it is for queries, not for publishing"
+            )
         channel = self._channel(key, type(message))
         t_ns = round(message.t * 1e9)
         try:
@@ -157,19 +149,10 @@ class Session:
     def listen_all(self, key_expr: str, callback: Callable[[Tapped], None]) -> None:
         """Call `callback` for every sample on matching keys, from one thread of this session.
 
-        The callback should only store: while it runs, samples wait in a bounded ring.
+        The callback should only store: while it runs, samples wait in a ring of 2048.
         """
-        subscriber = self._subscribe(key_expr, _RING_SMALL)
-        gaps: dict[str, Gaps] = {}
-
-        def pass_on(sample: zenoh.Sample) -> None:
-            key = str(sample.key_expr)
-            seq, t, sender = attached(sample) or (0, 0.0, 0)
-            missed = max(0, gaps.setdefault(key, Gaps()).missed(sender, seq))
-            payload = sample.payload.to_bytes()
-            callback(Tapped(key, payload, seq, t, _schema(sample.encoding), missed))
-
-        self._pump(f"tap {key_expr}", subscriber.handler.recv, pass_on)
+        subscriber = self._subscribe(key_expr, _RING_TAP)
+        self._pump(f"tap {key_expr}", subscriber.handler.recv, tap(callback))
 
     def serve(self, key: str, request_cls: type[Q], handler: Callable[[Q], Any]) -> None:
         """Answer queries on `key` with the message that `handler(request)` returns.
@@ -185,20 +168,7 @@ class Session:
         except zenoh.ZError as error:
             raise WireError(f"cannot serve {key}: {first_line(error)}") from None
 
-        def answer(query: zenoh.Query) -> None:
-            reply = _answer(query, request_cls, handler)
-            payload = codec.encode(reply)
-            encoding = zenoh.Encoding.APPLICATION_CDR.with_schema(codec.ros_type(type(reply)))
-            query.reply(
-                key,
-                payload,
-                encoding=encoding,
-                congestion_control=zenoh.CongestionControl.BLOCK,
-                priority=SMALL.priority,
-                express=True,
-            )
-
-        self._pump(f"serve {key}", queryable.handler.recv, answer)
+        self._pump(f"serve {key}", queryable.handler.recv, answerer(key, request_cls, handler))
 
     def call(self, key: str, request: Any, reply_cls: type[M], timeout: float = 2.0) -> M:
         """Query `key` and return the decoded answer.
@@ -229,7 +199,7 @@ class Session:
         if reply.ok is None:
             raise WireError(f"no answer to {key} within {timeout:g} s")
         payload = reply.ok.payload.to_bytes()
-        if reply_cls is not Reply and _schema(reply.ok.encoding) == codec.ros_type(Reply):
+        if reply_cls is not Reply and ros_type_of(reply.ok.encoding) == codec.ros_type(Reply):
             refusal = codec.decode(Reply, payload)
             raise WireError(f"{key} refused: {refusal.code}: {refusal.reason}")
         return codec.decode(reply_cls, payload)
@@ -241,7 +211,8 @@ class Session:
                 return
             self._closed = True
         try:
-            self._session.close()  # ends every ring, and with it the threads that wait on one
+            untyped: Any = self._session
+            untyped.close()  # ends every ring, and with it the threads that wait on one
         except zenoh.ZError as error:
             _log.warning("closing the session: %s", first_line(error))
         for thread in self._threads:
@@ -271,39 +242,13 @@ class Session:
             raise WireError(f"cannot read {key_expr}: {first_line(error)}") from None
 
     def _pump(self, name: str, receive: Callable[[], Any], use: Callable[[Any], None]) -> None:
-        def run() -> None:
-            while True:
-                try:
-                    item = receive()
-                except zenoh.ZError:  # undeclared: the session is closing
-                    return
-                try:
-                    use(item)
-                except Exception as error:  # one bad item must not end the service
-                    if not self._closed:
-                        _log.exception("%s: %s", name, error)
-                # Zenoh tells the asker that no more replies come when the query is let go.
-                del item
-
-        thread = threading.Thread(target=run, name=name, daemon=True)
-        self._threads.append(thread)
-        thread.start()
+        self._threads.append(pump(name, receive, use, lambda: self._closed))
 
 
-def _answer(query: zenoh.Query, request_cls: type[Q], handler: Callable[[Q], Any]) -> Any:
-    try:
-        payload = b"" if query.payload is None else query.payload.to_bytes()
-        return handler(codec.decode(request_cls, payload))
-    except DecodeError as error:
-        return Reply(False, "decode", str(error))
-    except RefusedError as error:
-        return Reply(False, error.code, error.reason)
-    except CellError as error:
-        return Reply(False, "error", str(error))
-    except Exception as error:
-        _log.exception("handler of %s", query.key_expr)
-        return Reply(False, "error", f"{type(error).__name__}: {error}"[:1000])
+_open_sessions: weakref.WeakSet[Session] = weakref.WeakSet()
 
 
-def _schema(encoding: zenoh.Encoding) -> str:
-    return str(encoding).partition(";")[2]
+@atexit.register
+def _close_all() -> None:
+    for session in list(_open_sessions):
+        session.close()

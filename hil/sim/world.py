@@ -16,7 +16,8 @@ from hil.sim.fixtures import FLOOR_Z, fixtures
 from hil.sim.gripper import SimGripper
 from hil.sim.onions import Onion, collision_vertices, make_onion
 from hil.sim.physics import bullet, connect, quiet
-from hil.sim.render.scene import Mesh, Scene, Visual, add_urdf_visuals, box_mesh, cylinder_mesh
+from hil.sim.render.mesh import box_mesh, cylinder_mesh
+from hil.sim.render.scene import Scene, Visual, add_urdf_visuals
 
 LABELS = {"robot": 1, "belt": 2, "bin": 3, "post": 4, "floor": 5, "pedestal": 6}
 """Labels of the scene's parts; onion number i has label `ONION_LABEL + i`."""
@@ -218,7 +219,7 @@ class World:
         return body
 
     def _reference_visual(self, onion: Onion) -> int:
-        mesh: Mesh = onion.mesh
+        mesh = onion.mesh
         assert mesh.uv is not None
         shape: int = bullet.createVisualShape(
             bullet.GEOM_MESH, vertices=mesh.vertices.tolist(), indices=mesh.faces.ravel().tolist(),

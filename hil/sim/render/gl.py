@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from cell.errors import RenderError
 from cell.frames import Array, Pinhole, inverse
@@ -18,8 +18,8 @@ from hil.sim.render.bodies import LinkPoses
 from hil.sim.render.gl_batch import Batch, make_batches
 from hil.sim.render.renderer import Image, Lighting
 from hil.sim.render.scene import Scene
-from hil.sim.render.shaders import FRAGMENT, SHADOW_FRAGMENT, SHADOW_VERTEX, VERTEX
-from hil.sim.render.shadow import SHADOW_SIZE, shadow_from_world
+from hil.sim.render.shaders import build_programs
+from hil.sim.render.shadow import shadow_from_world
 
 _SHADOW_UNIT = 1
 _SHADOW_OFFSET = 0.004
@@ -31,9 +31,10 @@ def open_context() -> Any:
     try:
         import moderngl
     except ImportError:
-        raise RenderError("The gl renderer needs the Python package moderngl: pip install moderngl.") from None
+        raise RenderError("The gl renderer needs Python package moderngl: pip install moderngl.") from None
+    options: dict[str, Any] = {"require": 330, "standalone": True, "backend": "egl"}
     try:
-        return moderngl.create_context(require=330, standalone=True, backend="egl")
+        return moderngl.create_context(**options)
     except Exception as error:  # glcontext raises bare Exception
         reason = " ".join(str(error).split()) or type(error).__name__
         raise RenderError(
@@ -52,18 +53,12 @@ class GlRenderer:
         self._scene = scene
         self._poses = LinkPoses(client)
         self._ctx: Any = open_context()
-        self._programs = {
-            "plain": self._program(VERTEX, FRAGMENT, ""),
-            "textured": self._program(VERTEX, FRAGMENT, "#define TEXTURED\n"),
-            "shadow": self._program(SHADOW_VERTEX, SHADOW_FRAGMENT, ""),
-        }
+        self._programs = build_programs(self._ctx)
+        self._backdrop = self._ctx.vertex_array(self._programs["backdrop"], [])
         self._batches: list[Batch] = []
         self._version = -1
         self._targets: dict[tuple[int, int], Any] = {}
-        self._shadow_depth = self._ctx.depth_texture((SHADOW_SIZE, SHADOW_SIZE))
-        self._shadow_depth.compare_func = "<="
-        self._shadow_depth.filter = (self._ctx.LINEAR, self._ctx.LINEAR)
-        self._shadow_target = self._ctx.framebuffer(depth_attachment=self._shadow_depth)
+        self._shadow_targets: dict[int, Any] = {}
 
     def render(self, X_WC: Array, pinhole: Pinhole, near: float, far: float) -> Image:
         if self._ctx is None:
@@ -74,9 +69,13 @@ class GlRenderer:
             return self._draw(pinhole)
 
     def close(self) -> None:
-        if self._ctx is not None:
-            self._ctx.release()
-            self._ctx = None
+        if self._ctx is None:
+            return
+        with self._ctx:
+            for resource in (*self._batches, *self._targets.values()):
+                resource.release()
+        self._ctx.release()
+        self._ctx = None
 
     # -- scene ----------------------------------------------------------------------------------
 
@@ -87,7 +86,7 @@ class GlRenderer:
             self._batches = make_batches(self._ctx, self._programs, self._scene)
             self._version = self._scene.version
             self._poses.forget()
-        poses = self._poses.read({key for batch in self._batches for key in batch.keys})
+        poses = self._poses.read(dict.fromkeys(key for batch in self._batches for key in batch.keys))
         centers, radii = [np.zeros((0, 3))], [np.zeros(0)]
         for batch in self._batches:
             batch.follow(self._scene)
@@ -116,8 +115,8 @@ class GlRenderer:
             "ground": tuple(ambient * np.asarray(light.ground)),
             "specular": light.specular,
             "shadow_from_C": _matrix(shadow_from_C),
-            "shadow_strength": 1.0 if light.shadows else 0.0,
             "shadow_offset": _SHADOW_OFFSET,
+            "background": light.background,
             "skins": 0,
             "shadow_map": _SHADOW_UNIT,
         }
@@ -132,46 +131,57 @@ class GlRenderer:
     def _draw(self, pinhole: Pinhole) -> Image:
         ctx = self._ctx
         ctx.enable_only(ctx.DEPTH_TEST)
-        if self.lighting.shadows:
-            self._shadow_target.use()
-            self._shadow_target.clear(depth=1.0)
+        ctx.depth_func = "<="
+        shadows = self.lighting.shadows
+        if shadows:
+            depth, shadow_target = self._shadow_target(self.lighting.shadow_size)
+            shadow_target.use()
+            shadow_target.clear(depth=1.0)
+            ctx.front_face = "ccw"
             for batch in self._batches:
                 batch.draw_shadow()
+            depth.use(_SHADOW_UNIT)
         target = self._target(pinhole.width, pinhole.height)
         target.use()
-        target.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
-        self._shadow_depth.use(_SHADOW_UNIT)
+        target.clear(depth=1.0)
+        ctx.front_face = "cw"  # counter-clockwise triangles, seen in rows stored top first
         for batch in self._batches:
-            batch.draw()
+            batch.draw(shadows)
+        ctx.disable(ctx.CULL_FACE)
+        self._backdrop.render(vertices=3)
         shape = (pinhole.height, pinhole.width)
         rgba = np.empty((*shape, 4), dtype=np.uint8)
+        depth = np.empty(shape, dtype=np.float32)
+        labels = np.empty(shape, dtype=np.int32)
         target.read_into(rgba, components=4, attachment=0)
-        geometry = np.empty((*shape, 2), dtype=np.float32)
-        target.read_into(geometry, components=2, attachment=1, dtype="f4")
-        return self._image(rgba, geometry)
-
-    def _image(self, rgba: NDArray[np.uint8], geometry: NDArray[np.float32]) -> Image:
-        depth = np.ascontiguousarray(geometry[..., 0])
-        labels = geometry[..., 1].astype(np.int32) - 1
-        rgb = np.ascontiguousarray(rgba[..., :3])
-        rgb[labels < 0] = np.round(255 * np.asarray(self.lighting.background)).astype(np.uint8)
+        target.read_into(depth, components=1, attachment=1, dtype="f4")
+        target.read_into(labels, components=1, attachment=2, dtype="i4")
+        rgb = np.asarray(cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB), dtype=np.uint8)
         return Image(rgb, depth, labels, rgba[..., 3] > 127)
 
     def _target(self, width: int, height: int) -> Any:
         if (width, height) not in self._targets:
             size = (width, height)
             self._targets[size] = self._ctx.framebuffer(
-                [self._ctx.renderbuffer(size, 4), self._ctx.renderbuffer(size, 2, dtype="f4")],
+                [
+                    self._ctx.renderbuffer(size, 4),
+                    self._ctx.renderbuffer(size, 1, dtype="f4"),
+                    self._ctx.renderbuffer(size, 1, dtype="i4"),
+                ],
                 self._ctx.depth_renderbuffer(size),
             )
         return self._targets[width, height]
 
-    def _program(self, vertex: str, fragment: str, defines: str) -> Any:
-        insert = "#version 330\n" + defines
-        return self._ctx.program(
-            vertex_shader=vertex.strip().replace("#version 330\n", insert),
-            fragment_shader=fragment.strip().replace("#version 330\n", insert),
-        )
+    def _shadow_target(self, size: int) -> tuple[Any, Any]:
+        """The shadow map of this size and the frame buffer that fills it."""
+        if size not in self._shadow_targets:
+            depth = self._ctx.depth_texture((size, size))
+            depth.compare_func = "<="
+            depth.filter = (self._ctx.LINEAR, self._ctx.LINEAR)
+            depth.repeat_x = depth.repeat_y = False
+            self._shadow_targets[size] = depth, self._ctx.framebuffer(depth_attachment=depth)
+        depth, target = self._shadow_targets[size]
+        return depth, target
 
 
 def _projection(p: Pinhole, near: float, far: float) -> Array:

@@ -11,9 +11,12 @@ from cell.frames import Array
 from hil.sim.render.mesh import Mesh
 from hil.sim.render.scene import Scene, Visual
 from hil.sim.render.shaders import VISUALS_PER_DRAW
+from hil.sim.render.simplify import proxy_faces
 
 CASTER_RADIUS = 1.2
 """Larger shapes (floors, walls) receive shadows but cast none [m]."""
+SHADOW_ERROR = 1.5e-3
+"""Shadows are cast by shapes simplified this far [m]; a pixel of the shadow map is larger."""
 _ROW = 20  # floats per visual in the uniform block
 _BLOCK_BINDING = 0
 _SKINS_UNIT = 0
@@ -30,8 +33,12 @@ class Batch:
     """
 
     def __init__(self, ctx: Any, programs: dict[str, Any], items: list[tuple[int, Visual]]) -> None:
+        self._ctx = ctx
+        self._two_sided = items[0][1].two_sided
         spheres = {handle: _bounding_sphere(visual.mesh) for handle, visual in items}
-        items = sorted(items, key=lambda item: spheres[item[0]][1] > CASTER_RADIUS)
+        # Small shapes lie on large ones: drawn first, they spare shading what they hide. It also
+        # puts the casters first.
+        items = sorted(items, key=lambda item: spheres[item[0]][1])
         self.keys = [(visual.body, visual.link) for _, visual in items]
         self.X_LV = np.array([visual.X_LV for _, visual in items], dtype=np.float64)
         self.centers_V = np.array([spheres[handle][0] for handle, _ in items])
@@ -58,28 +65,34 @@ class Batch:
         self._moving = ctx.buffer(moving.tobytes(), dynamic=True)
         self._fixed = ctx.buffer(fixed.tobytes())
         index = ctx.buffer(np.vstack(faces).astype("<i4").tobytes())
-        self._caster_indices = 3 * sum(len(f) for f in faces[: self.casters])
+        shadow_faces = [
+            proxy_faces(v.mesh, SHADOW_ERROR) + first
+            for v, first in zip(visuals[: self.casters], starts[:-1], strict=False)
+        ]
+        shadow_index = ctx.buffer(np.vstack([np.zeros((1, 3)), *shadow_faces]).astype("<i4").tobytes())
         self._records = np.zeros((len(visuals), _ROW), dtype="<f4")
         self._records[:, 12:15] = [visual.rgba[:3] for visual in visuals]
-        self._records[:, 15] = [visual.label + 1 for visual in visuals]
+        self._records[:, 15] = [visual.label for visual in visuals]
         self._records[:, 16] = np.arange(len(visuals)) if textured else -1
         self._block = ctx.buffer(reserve=VISUALS_PER_DRAW * _ROW * 4, dynamic=True)
         self._skins = _texture_array(ctx, visuals) if textured else None
-        self._color_vao = ctx.vertex_array(
-            programs["textured" if textured else "plain"],
-            [
-                (self._moving, "3f 3f", "in_position", "in_normal"),
-                (self._fixed, "2f 4f1 1i" if textured else "8x 4f1 1i", *(["in_uv"] if textured else []), "in_color", "in_visual"),
-            ],
-            index,
-        )  # fmt: skip
+        kind = "textured" if textured else "plain"
+        layout = [
+            (self._moving, "3f 3f", "in_position", "in_normal"),
+            (self._fixed, "2f 4f1 1i", "in_uv", "in_color", "in_visual")
+            if textured
+            else (self._fixed, "8x 4f1 1i", "in_color", "in_visual"),
+        ]
+        self._color_vaos = [
+            ctx.vertex_array(programs[kind + suffix], layout, index) for suffix in ("", " shadows")
+        ]
         self._shadow_vao = ctx.vertex_array(
             programs["shadow"],
             [(self._moving, "3f 12x", "in_position"), (self._fixed, "12x 1i", "in_visual")],
-            index,
+            shadow_index,
         )
         self._resources = [
-            self._color_vao, self._shadow_vao, self._moving, self._fixed, index, self._block,
+            *self._color_vaos, self._shadow_vao, self._moving, self._fixed, index, shadow_index, self._block,
             *([self._skins] if self._skins else []),
         ]  # fmt: skip
 
@@ -101,15 +114,25 @@ class Batch:
         self._block.write(self._records.tobytes())
 
     def draw_shadow(self) -> None:
-        if self._caster_indices:
+        """Draw the casters into the current depth target."""
+        if self.casters:
+            self._cull()
             self._block.bind_to_uniform_block(_BLOCK_BINDING)
-            self._shadow_vao.render(vertices=self._caster_indices)
+            self._shadow_vao.render()
 
-    def draw(self) -> None:
+    def draw(self, shadows: bool) -> None:
+        """Draw everything into the current target."""
+        self._cull()
         self._block.bind_to_uniform_block(_BLOCK_BINDING)
         if self._skins is not None:
             self._skins.use(_SKINS_UNIT)
-        self._color_vao.render()
+        self._color_vaos[shadows].render()
+
+    def _cull(self) -> None:
+        if self._two_sided:
+            self._ctx.disable(self._ctx.CULL_FACE)
+        else:
+            self._ctx.enable(self._ctx.CULL_FACE)
 
     def release(self) -> None:
         for resource in self._resources:
@@ -118,15 +141,15 @@ class Batch:
 
 
 def make_batches(ctx: Any, programs: dict[str, Any], scene: Scene) -> list[Batch]:
-    """Group the scene's visuals by texture size."""
-    groups: dict[tuple[int, ...], list[tuple[int, Visual]]] = {}
+    """Group the scene's visuals by texture size and sidedness."""
+    groups: dict[tuple[Any, ...], list[tuple[int, Visual]]] = {}
     for handle, visual in scene.items():
         shape = () if visual.texture is None else visual.texture.shape
-        groups.setdefault(shape, []).append((handle, visual))
+        groups.setdefault((shape, visual.two_sided), []).append((handle, visual))
     size = VISUALS_PER_DRAW
     return [
         Batch(ctx, programs, group[i : i + size])
-        for group in groups.values()
+        for group in sorted(groups.values(), key=lambda g: g[0][1].texture is None)
         for i in range(0, len(group), size)
     ]
 

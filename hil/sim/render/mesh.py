@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int32]
-
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +44,7 @@ class Mesh:
         for fine, wanted in shapes:
             if not fine:
                 raise ValueError(f"mesh: expected {wanted}")
-        if self.faces.size and not 0 <= int(self.faces.min()) <= int(self.faces.max()) < count:
-            raise ValueError(f"mesh: face indices must be within 0..{count - 1}")
+        _check_faces(self.faces, count)
 
     @classmethod
     def of(
@@ -54,6 +53,7 @@ class Mesh:
         """Convert array-likes to the right types; missing normals are averaged from the faces."""
         v = np.ascontiguousarray(vertices, dtype=np.float32)
         f = np.ascontiguousarray(faces, dtype=np.int32)
+        _check_faces(f, len(v))
         return cls(
             v,
             f,
@@ -95,6 +95,11 @@ class Mesh:
         return simplify(self, max_error)
 
 
+def _check_faces(faces: Ints, count: int) -> None:
+    if faces.size and not 0 <= int(faces.min()) <= int(faces.max()) < count:
+        raise ValueError(f"mesh: face indices must be within 0..{count - 1}")
+
+
 def smooth_normals(vertices: Floats, faces: Ints) -> Floats:
     """Area-weighted vertex normals, shape (V, 3) float32."""
     tri = vertices[faces].astype(np.float64)
@@ -112,7 +117,9 @@ def smooth_normals(vertices: Floats, faces: Ints) -> Floats:
 def box_mesh(size: object) -> Mesh:
     """Box of full lengths `size` (3,) [m], centred; every face has its own texture square."""
     half = np.asarray(size, dtype=float) / 2
-    v, n, f = [], [], []
+    v: list[Array] = []
+    n: list[Array] = []
+    f: list[list[int]] = []
     for axis in range(3):
         for sign in (-1.0, 1.0):
             a, b = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
@@ -131,14 +138,15 @@ def cylinder_mesh(radius: float, length: float, segments: int = 48) -> Mesh:
     """Cylinder along z, centred; radius and length [m]."""
     a = np.linspace(0.0, 2 * np.pi, segments + 1)
     ring = np.column_stack([np.cos(a), np.sin(a)])
-    side = np.vstack([np.column_stack([radius * ring, np.full(len(a), z)]) for z in (-length / 2, length / 2)])
+    ends = (-length / 2, length / 2)
+    side = np.vstack([np.column_stack([radius * ring, np.full(len(a), z)]) for z in ends])
     side_n = np.tile(np.column_stack([ring, np.zeros(len(a))]), (2, 1))
     i = np.arange(segments)
     m = segments + 1
     faces = [np.column_stack([i, i + 1, i + 1 + m]), np.column_stack([i, i + 1 + m, i + m])]
     v, n = [side], [side_n]
     count = 2 * m
-    for z, sign in ((-length / 2, -1.0), (length / 2, 1.0)):
+    for z, sign in zip(ends, (-1.0, 1.0), strict=True):
         v.append(np.vstack([np.column_stack([radius * ring, np.full(m, z)]), [[0.0, 0.0, z]]]))
         n.append(np.tile([0.0, 0.0, sign], (m + 1, 1)))
         first, second = (i + 1, i) if sign < 0 else (i, i + 1)
@@ -148,7 +156,7 @@ def cylinder_mesh(radius: float, length: float, segments: int = 48) -> Mesh:
 
 
 @lru_cache(maxsize=64)
-def sphere_mesh(radius: float, around: int = 48, down: int = 32) -> Mesh:
+def sphere_mesh(radius: float, around: int = 32, down: int = 20) -> Mesh:
     """Sphere, centred; u runs with longitude from 0 to 1, v from the south pole (0) to the north (1)."""
     return _revolved(radius, 0.0, around, down)
 

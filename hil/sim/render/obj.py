@@ -61,35 +61,35 @@ def _read_obj(path: Path) -> Mesh:
     if not corners:
         raise ValueError("it has no faces")
     v, vt, vn = _table(points, 3), _table(uvs, 2), _table(normals, 3)
-    index = _references([c for triangle in corners for c in triangle], (len(v), len(vt), len(vn)))
+    index = _references([c for triangle in corners for c in triangle])
+    if index is None:
+        return _read_by_trimesh(path)
     color = np.repeat(np.array(materials, dtype=np.int64), 3)
-    key = ((color * (len(vn) + 1) + index[:, 2]) * (len(vt) + 1) + index[:, 1]) * (len(v) + 1) + index[:, 0]
-    _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
-    unique = np.column_stack([index[first], color[first]])
-    faces = inverse.reshape(-1, 3)
-    has_uv, has_normals = bool(len(vt)) and index[:, 1].min() > 0, bool(len(vn)) and index[:, 2].min() > 0
+    mixed = ((color * (len(vn) + 1) + index[:, 2]) * (len(vt) + 1) + index[:, 1]) * (len(v) + 1) + index[:, 0]
+    _, first, inverse = np.unique(mixed, return_index=True, return_inverse=True)
+    unique, color = index[first], color[first]
+    has_uv, has_normals = unique[:, 1].min() > 0, unique[:, 2].min() > 0
     return Mesh.of(
         v[unique[:, 0] - 1],
-        faces,
+        inverse.reshape(-1, 3),
         vn[unique[:, 2] - 1] if has_normals else None,
         vt[unique[:, 1] - 1] if has_uv else None,
-        np.array(palette, dtype=np.uint8)[unique[:, 3]] if len(colors) else None,
+        np.array(palette, dtype=np.uint8)[color] if colors else None,
     )
 
 
-def _references(corners: list[str], counts: tuple[int, int, int]) -> NDArray[np.int64]:
-    """"v/vt/vn" words -> indices (N, 3) from 1; 0 where absent, negative ones resolved."""
-    slashes = corners[0].count("/")
-    if all(c.count("/") == slashes for c in corners):
-        text = " ".join(corners).replace("//", "/0/").replace("/", " ")
-        columns = text.split()
-        flat = np.array(columns, dtype=np.int64).reshape(len(corners), -1)
-        index = np.zeros((len(corners), 3), dtype=np.int64)
-        index[:, : flat.shape[1]] = flat
-    else:
-        words = [[*c.split("/"), "", ""][:3] for c in corners]
-        index = np.array([[int(part) if part else 0 for part in word] for word in words])
-    return np.where(index < 0, index + np.array(counts) + 1, index)
+def _references(corners: list[str]) -> NDArray[np.int64] | None:
+    """Words "v/vt/vn" -> indices (N, 3) from 1, 0 where absent; None for rare forms.
+
+    Rare are words of different forms in one file, and indices that count from the end.
+    """
+    form = [bool(part) for part in corners[0].split("/")]
+    if any([bool(part) for part in corner.split("/")] != form for corner in corners):
+        return None
+    flat = np.array(" ".join(corners).replace("/", " ").split(), dtype=np.int64)
+    index = np.zeros((len(corners), 3), dtype=np.int64)
+    index[:, [i for i, given in enumerate(form) if given]] = flat.reshape(len(corners), -1)
+    return None if flat.min() < 1 else index
 
 
 def _table(rows: list[str], columns: int) -> NDArray[np.float64]:

@@ -47,17 +47,19 @@ class Lighting:
         sky, ground: tint of the ambient light from above and from below.
         background: colour where nothing is, 0..1.
         shadows: whether the distant light casts them.
+        shadow_size: side of the gl renderer's shadow map [px]; 1024 is one pixel per 3 mm or so.
     """
 
     direction: tuple[float, float, float] = (-0.35, -0.55, 1.0)
     color: Rgb = (1.0, 0.98, 0.94)
-    ambient: float = 0.55
-    diffuse: float = 0.62
+    ambient: float = 0.60
+    diffuse: float = 0.68
     specular: float = 0.12
     sky: Rgb = (1.0, 1.02, 1.06)
     ground: Rgb = (0.72, 0.69, 0.66)
     background: Rgb = (0.80, 0.82, 0.84)
     shadows: bool = True
+    shadow_size: int = 1024
 
 
 class Renderer(Protocol):
@@ -84,9 +86,7 @@ class Renderer(Protocol):
         ...
 
 
-def make_renderer(
-    choice: str, client: int, scene: Scene, lighting: Lighting | None = None
-) -> Renderer:
+def make_renderer(choice: str, client: int, scene: Scene, lighting: Lighting | None = None) -> Renderer:
     """Build a renderer.
 
     Args:

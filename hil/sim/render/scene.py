@@ -26,7 +26,7 @@ from hil.sim.render.mesh import (
 
 Rgba = tuple[float, float, float, float]
 
-MESH_ERROR = 0.3e-3
+MESH_ERROR = 0.2e-3
 """Bound of the error with which a URDF's fine meshes are simplified [m]."""
 _GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
 
@@ -43,6 +43,7 @@ class Visual:
         texture: shape (H, W, 4) uint8, or None. RGB, and a mark: alpha 255 labels the texel as
             marked (a blemish). Alpha is NOT transparency and does not change the picture.
         label: what `Image.labels` shows where this shape is seen; >= 0.
+        two_sided: also draw faces seen from behind, for meshes that are not closed (slower).
     """
 
     body: int
@@ -52,6 +53,7 @@ class Visual:
     rgba: Rgba = _GREY
     texture: NDArray[np.uint8] | None = None
     label: int = 0
+    two_sided: bool = False
 
 
 class Scene:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 VISUALS_PER_DRAW = 512
 """Length of the uniform arrays: 5 vec4 = 80 bytes each, below the 64 KiB every driver grants."""
 
 _VISUAL_BLOCK = f"""
 struct Visual {{
     vec4 row0, row1, row2;  // X_CV: pose of the shape in the camera frame, by rows
-    vec4 color;             // rgb; w = label + 1
+    vec4 color;             // rgb; w = label
     vec4 look;              // x = texture layer or -1
 }};
 layout(std140) uniform Visuals {{ Visual visuals[{VISUALS_PER_DRAW}]; }};
@@ -50,7 +52,6 @@ uniform vec3 ground;        // and from below
 uniform float specular;
 uniform mat4 shadow_from_C; // camera frame -> shadow map 0..1
 uniform float shadow_offset;
-uniform float shadow_strength;
 uniform sampler2DArray skins;
 uniform sampler2DShadow shadow_map;
 in vec3 p_C;
@@ -59,7 +60,8 @@ in vec3 uvw;
 in vec3 albedo;
 flat in float label;
 layout(location = 0) out vec4 out_color;
-layout(location = 1) out vec2 out_depth_label;
+layout(location = 1) out float out_depth;
+layout(location = 2) out int out_label;
 void main() {
     vec3 to_eye = -normalize(p_C);
     vec3 n = normalize(normal_C);
@@ -74,18 +76,22 @@ void main() {
     base *= base;  // display value -> linear light, gamma 2
     float facing = dot(n, to_light);
     float lit = max(facing, 0.0);
-    if (shadow_strength > 0.0 && lit > 0.0) {
+#ifdef SHADOWS
+    if (lit > 0.0) {
         vec4 s = shadow_from_C * vec4(p_C + n * shadow_offset, 1.0);
-        if (all(greaterThan(s.xyz, vec3(0.0))) && all(lessThan(s.xyz, vec3(1.0))))
-            lit *= texture(shadow_map, s.xyz);
+        // Beside the map everything is lit; behind its far end all that it shows casts shadows.
+        if (all(greaterThan(s.xy, vec2(0.0))) && all(lessThan(s.xy, vec2(1.0))))
+            lit *= texture(shadow_map, vec3(s.xy, min(s.z, 1.0)));
     }
+#endif
     vec3 ambient = mix(ground, sky, 0.5 + 0.5 * dot(n, up));
     vec3 half_way = normalize(to_light + to_eye);
     float h = max(dot(n, half_way), 0.0);
     h *= h; h *= h; h *= h; h *= h; h *= h;  // h^32
     vec3 color = base * (ambient + lit * light) + lit * specular * h * light;
     out_color = vec4(sqrt(clamp(color, 0.0, 1.0)), mark);
-    out_depth_label = vec2(p_C.z, label);
+    out_depth = p_C.z;
+    out_label = int(label);
 }
 """
 
@@ -108,3 +114,46 @@ SHADOW_FRAGMENT = """
 #version 330
 void main() {}
 """
+
+# A triangle that covers the screen at the far plane: fills what nothing else did.
+BACKDROP_VERTEX = """
+#version 330
+void main() {
+    vec2 corner = vec2(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0);
+    gl_Position = vec4(corner, 1.0, 1.0);
+}
+"""
+
+BACKDROP_FRAGMENT = """
+#version 330
+uniform vec3 background;
+layout(location = 0) out vec4 out_color;
+layout(location = 1) out float out_depth;
+layout(location = 2) out int out_label;
+void main() {
+    out_color = vec4(background, 0.0);
+    out_depth = 0.0;
+    out_label = -1;
+}
+"""
+
+
+def build_programs(ctx: Any) -> dict[str, Any]:
+    """Compile everything: "plain", "textured", both also "... shadows", "shadow", "backdrop".
+
+    Variants instead of uniform switches, because llvmpipe evaluates both sides of a branch.
+    """
+
+    def build(vertex: str, fragment: str, *defines: str) -> Any:
+        head = "#version 330\n" + "".join(f"#define {name}\n" for name in defines)
+        sources = (source.strip().replace("#version 330\n", head, 1) for source in (vertex, fragment))
+        return ctx.program(*sources)
+
+    return {
+        "plain": build(VERTEX, FRAGMENT),
+        "textured": build(VERTEX, FRAGMENT, "TEXTURED"),
+        "plain shadows": build(VERTEX, FRAGMENT, "SHADOWS"),
+        "textured shadows": build(VERTEX, FRAGMENT, "TEXTURED", "SHADOWS"),
+        "shadow": build(SHADOW_VERTEX, SHADOW_FRAGMENT),
+        "backdrop": build(BACKDROP_VERTEX, BACKDROP_FRAGMENT),
+    }

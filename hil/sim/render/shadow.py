@@ -6,8 +6,6 @@ import numpy as np
 
 from cell.frames import Array
 
-SHADOW_SIZE = 1024
-"""Side of the shadow map [px]."""
 _STEP = 0.25
 """The box grows in these steps, so that shadows do not crawl while things move [m]."""
 

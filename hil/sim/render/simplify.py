@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.sim.render.mesh import Mesh
+from hil.sim.render.mesh import Ints, Mesh
 
 _GRID = 1 << 20
 """Points are equal if they fall into the same of this many cells along the mesh's longest side."""
-_CREASE = 0.6
-"""A corner takes an original normal only if its cosine to the face's own is above this."""
-_NEIGHBOURS = 8
+_CREASE = 0.87
+"""An original normal counts at a corner if its cosine to the face's own is above this."""
 
 
 def simplify(mesh: Mesh, max_error: float) -> Mesh:
@@ -36,13 +37,34 @@ def simplify(mesh: Mesh, max_error: float) -> Mesh:
         )
         if not count:
             continue
-        triangles = points[out[:count]].reshape(-1, 3, 3)
+        kept = out[:count].astype(np.int64)
         source = np.unique(mesh.faces[chosen])
-        corners.append(triangles.reshape(-1, 3))
-        normals.append(_corner_normals(triangles, mesh.vertices[source], mesh.normals[source]))
+        corners.append(points[kept])
+        normals.append(
+            _corner_normals(points[kept].reshape(-1, 3, 3), kept, point_ids[source], mesh.normals[source])
+        )
         if mesh.colors is not None:
             colors.append(np.repeat(mesh.colors[source[:1]], count, axis=0))
     return _indexed(np.vstack(corners), np.vstack(normals), np.vstack(colors) if colors else None)
+
+
+@lru_cache(maxsize=128)
+def proxy_faces(mesh: Mesh, max_error: float) -> Ints:
+    """Fewer triangles over the mesh's own vertices, for what need not be exact; shape (F', 3)."""
+    import meshoptimizer as mo
+
+    ids, points = _welded(mesh.vertices)
+    _, representative = np.unique(ids, return_index=True)
+    out = np.zeros(mesh.faces.size, dtype=np.uint32)
+    count = mo.simplify(
+        out,
+        ids[mesh.faces].ravel().astype(np.uint32),
+        points,
+        target_index_count=3,
+        target_error=max_error,
+        options=mo.SIMPLIFY_ERROR_ABSOLUTE,
+    )
+    return representative[out[:count].astype(np.int64)].reshape(-1, 3).astype(np.int32)
 
 
 def _welded(vertices: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
@@ -65,20 +87,30 @@ def _regions(mesh: Mesh) -> NDArray[np.int64]:
 
 
 def _corner_normals(
-    triangles: NDArray[np.float32], points: NDArray[np.float32], normals: NDArray[np.float32]
+    triangles: NDArray[np.float32],
+    corners: NDArray[np.int64],
+    point_ids: NDArray[np.int64],
+    normals: NDArray[np.float32],
 ) -> NDArray[np.float32]:
-    """Normals (3 F, 3): the nearest original one on the same side of a crease, else the face's."""
-    from scipy.spatial import cKDTree
+    """Normals (3 F, 3) for corners at original points: the mean of the point's original normals.
 
+    A normal far off the face's own belongs to the other side of a crease and does not count.
+    Files often have one normal per facet; the mean makes such surfaces smooth.
+    """
     face_n = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     face_n /= np.maximum(np.linalg.norm(face_n, axis=1, keepdims=True), 1e-20)
     own = np.repeat(face_n, 3, axis=0)
-    count = min(_NEIGHBOURS, len(points))
-    _, near = cKDTree(points).query(triangles.reshape(-1, 3), k=count)
-    candidates = normals[near.reshape(-1, count)]
-    fits = np.einsum("nkc,nc->nk", candidates, own) > _CREASE
-    chosen = candidates[np.arange(len(own)), np.argmax(fits, axis=1)]
-    return np.where(fits.any(axis=1)[:, None], chosen, own).astype(np.float32)
+    order = np.argsort(point_ids, kind="stable")
+    ids = point_ids[order]
+    first = np.searchsorted(ids, corners)
+    count = np.searchsorted(ids, corners, side="right") - first
+    total = np.zeros_like(own)
+    for k in range(int(count.max(initial=0))):
+        candidate = normals[order[np.minimum(first + k, len(ids) - 1)]]
+        same_side = (k < count) & (np.einsum("nc,nc->n", candidate, own) > _CREASE)
+        total += np.where(same_side[:, None], candidate, 0.0)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.where(length > 1e-6, total / np.maximum(length, 1e-6), own).astype(np.float32)
 
 
 def _indexed(
@@ -93,6 +125,5 @@ def _indexed(
         _, palette = np.unique(rgb[:, 0] << 16 | rgb[:, 1] << 8 | rgb[:, 2], return_inverse=True)
         key = key * (int(palette.max()) + 1) + palette
     _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
-    return Mesh.of(
-        corners[first], inverse.reshape(-1, 3), normals[first], None, None if colors is None else colors[first]
-    )
+    kept = None if colors is None else colors[first]
+    return Mesh.of(corners[first], inverse.reshape(-1, 3), normals[first], None, kept)

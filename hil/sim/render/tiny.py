@@ -28,9 +28,17 @@ class TinyRenderer:
         self.lighting = lighting or Lighting()
         self._client = client
         self._scene = scene
+        self._version = -1
 
     def render(self, X_WC: Array, pinhole: Pinhole, near: float, far: float) -> Image:
+        if self._version != self._scene.version:
+            self._version = self._scene.version
+            self._tint()
         light = self.lighting
+        # The gl renderer adds light linearly and shows its square root; TinyRenderer adds what
+        # it shows. These two strengths agree in full shade and in full light.
+        shade = light.ambient**0.5
+        glow = (light.ambient + light.diffuse) ** 0.5 - shade
         width, height, rgba, d, segments = bullet.getCameraImage(
             pinhole.width,
             pinhole.height,
@@ -40,8 +48,8 @@ class TinyRenderer:
             lightColor=light.color,
             lightDistance=5.0,
             shadow=int(light.shadows),
-            lightAmbientCoeff=light.ambient,
-            lightDiffuseCoeff=light.diffuse,
+            lightAmbientCoeff=shade,
+            lightDiffuseCoeff=glow,
             lightSpecularCoeff=light.specular,
             renderer=bullet.ER_TINY_RENDERER,
             flags=bullet.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
@@ -58,6 +66,19 @@ class TinyRenderer:
 
     def close(self) -> None:
         """Nothing is held."""
+
+    def _tint(self) -> None:
+        """Give links whose meshes carry material colours, which PyBullet ignores, their mean."""
+        for visual in self._scene.visuals:
+            mesh = visual.mesh
+            if mesh.colors is not None:
+                tri = mesh.vertices[mesh.faces]
+                area = np.linalg.norm(np.cross(tri[:, 1] - tri[:, 0], tri[:, 2] - tri[:, 0]), axis=1)
+                mean = np.average(mesh.colors[mesh.faces[:, 0]], axis=0, weights=area) / 255.0
+                color = mean * visual.rgba[:3]
+                bullet.changeVisualShape(
+                    visual.body, visual.link, rgbaColor=[*color, 1.0], physicsClientId=self._client
+                )
 
     def _labels(self, segments: NDArray[np.int64], seen: NDArray[np.bool_]) -> NDArray[np.int32]:
         label_of: dict[tuple[int, int], int] = {}
@@ -77,11 +98,15 @@ def _view(X_WC: Array) -> Array:
 
 
 def _projection(p: Pinhole, near: float, far: float) -> Array:
-    """OpenGL projection matrix of the intrinsics, pixel (0, 0) being a pixel's centre."""
+    """OpenGL projection matrix of the intrinsics, pixel (0, 0) being a pixel's centre.
+
+    TinyRenderer evaluates a pixel at its lower left corner instead of its centre, hence cx and
+    cy + 1 where OpenGL proper has cx + 1/2 and cy + 1/2.
+    """
     return np.array(
         [
-            [2 * p.fx / p.width, 0.0, 1.0 - 2 * (p.cx + 0.5) / p.width, 0.0],
-            [0.0, 2 * p.fy / p.height, 2 * (p.cy + 0.5) / p.height - 1.0, 0.0],
+            [2 * p.fx / p.width, 0.0, 1.0 - 2 * p.cx / p.width, 0.0],
+            [0.0, 2 * p.fy / p.height, 2 * (p.cy + 1.0) / p.height - 1.0, 0.0],
             [0.0, 0.0, -(far + near) / (far - near), -2 * far * near / (far - near)],
             [0.0, 0.0, -1.0, 0.0],
         ]

@@ -1,0 +1,95 @@
+"""The check of a cell's geometry: can the arm get to every place that sorting needs?
+
+Runs when a cell is loaded, so that an impossible layout is a sentence before the round begins
+and not a failed plan in the middle of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from cell.config import CellConfig
+from cell.errors import ConfigError
+from cell.frames import Array, pose, rot_x, rot_z
+from cell.motion.collision import CollisionModel
+from cell.motion.kinematics import Kinematics
+
+_GRID = (4, 7)
+"""Places checked across and along the pick window, edges and corners included."""
+_YAWS = (0.0, np.pi / 4, np.pi / 2, -np.pi / 4)
+_FINGERTIP_GAP = 0.017
+"""The lowest grasp: fingertips reach 11 mm beyond the TCP and stay 6 mm off the belt [m]."""
+_TOUCH = 0.003
+"""Least clearance of a grasp, whose fingertips are meant to be near the belt [m]."""
+
+
+def check_reachable(config: CellConfig) -> None:
+    """Check home, every grasp and hover pose of the pick window, and the drop pose.
+
+    Raises:
+        ConfigError: names the configuration key and the first pose that cannot be had.
+    """
+    kinematics, model = Kinematics(config), CollisionModel(config)
+    home = np.array(config.arm.home)
+    least = config.motion.clearance
+    gap, pair = model.nearest(home)
+    if gap < least:
+        raise ConfigError(
+            f"arm.home: the arm would be {1000 * gap:.0f} mm from touching ({pair}); choose another home"
+        )
+    _check_drop(config, kinematics, model, home)
+    for key, X_WT, wanted in _window(config, least):
+        solutions = kinematics.ik(X_WT, home)
+        x, y, z = X_WT[:3, 3]
+        if not solutions:
+            raise ConfigError(f"{key} at ({x:.3f}, {y:.3f}, {z:.3f}) m is out of reach of the UR3e; {_ADVICE}")
+        clear = model.clearance(np.array(solutions))
+        if clear.max() < wanted:
+            _, pair = model.nearest(solutions[int(np.argmax(clear))])
+            raise ConfigError(
+                f"{key} at ({x:.3f}, {y:.3f}, {z:.3f}) m is in reach only by touching something ({pair}); {_ADVICE}"
+            )
+
+
+_ADVICE = "shrink the pick window (belt.pick_x, belt.pick_y) or move the belt"
+
+
+def _window(config: CellConfig, least: float) -> Iterator[tuple[str, Array, float]]:
+    """Key, pose and least clearance of each grasp and hover."""
+    b, motion = config.belt, config.motion
+    small, large = (d / 2 for d in config.onions.diameter)
+    heights = sorted({max(small, _FINGERTIP_GAP), large})
+    for x in np.linspace(*b.pick_x, _GRID[0]):
+        for y in np.linspace(*b.pick_y, _GRID[1]):
+            for yaw in _YAWS:
+                R_WT = rot_z(yaw) @ rot_x(np.pi)
+                for height in heights:
+                    z = b.top_z + height
+                    yield "belt.pick_x, belt.pick_y: the grasp", pose(R_WT, (x, y, z)), _TOUCH
+                z = b.top_z + large + motion.hover
+                yield "belt.pick_x, belt.pick_y: the hover pose", pose(R_WT, (x, y, z)), least
+
+
+def _check_drop(config: CellConfig, kinematics: Kinematics, model: CollisionModel, home: Array) -> None:
+    x, y, top = config.bin.center
+    z = top + config.bin.drop_height
+    best, solutions = -np.inf, 0
+    pair = ""
+    for yaw in np.linspace(-np.pi / 2, np.pi / 2, 12, endpoint=False):
+        for q in kinematics.ik(pose(rot_z(yaw) @ rot_x(np.pi), (x, y, z)), home):
+            solutions += 1
+            gap, near = model.nearest(q, held_radius=config.onions.diameter[1] / 2)
+            if gap > best:
+                best, pair = gap, near
+    if not solutions:
+        raise ConfigError(
+            f"bin.center: the drop pose at ({x:.3f}, {y:.3f}, {z:.3f}) m is out of reach of the UR3e; "
+            "move the bin nearer to the robot"
+        )
+    if best < config.motion.clearance:
+        raise ConfigError(
+            f"bin.center: the drop pose at ({x:.3f}, {y:.3f}, {z:.3f}) m is in reach only by touching "
+            f"something ({pair}); move the bin or raise bin.drop_height"
+        )

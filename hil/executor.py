@@ -1,0 +1,190 @@
+"""Executes timed trajectories: interpolation, seams, and stopping on the path. Pure, no I/O.
+
+The running trajectory is followed by a path clock tau that normally keeps real time. A stop, or
+a lower speed scaling of the controller, slows that clock down: position stays on the path
+(q = q(tau)), speed is rate * q'(tau), and each tick takes the lowest rate whose change of joint
+speeds the acceleration limits allow.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cell.errors import RefusedError
+from cell.frames import Array
+from cell.limits import Limits, RefusalCode, check_trajectory, hermite
+from cell.wire.types import Trajectory
+
+_START_TOLERANCE = 0.02
+"""A motion from rest may start this far from set-point and measured joints [rad]."""
+_SEAM_POSITION, _SEAM_SPEED = 1e-3, 1e-2
+"""How well a replacement must match the running trajectory [rad], [rad/s]."""
+_CANDIDATES = 33
+_MAX_RATE_CHANGE = 25.0
+"""Fastest change of the path clock's rate [1/s]."""
+
+
+class Executor:
+    """One arm's trajectory execution.
+
+    Args:
+        limits: of the arm. period: of the control loop [s]. q: joint angles at rest (6,) [rad].
+    """
+
+    def __init__(self, limits: Limits, period: float, q: Array) -> None:
+        self._limits, self._period = limits, period
+        self._running: Trajectory | None = None
+        self._next: Trajectory | None = None
+        self._tau = 0.0
+        self._rate = 1.0
+        self._stopping = False
+        self.q, self.qd = np.array(q, float), np.zeros(6)
+        self.trajectory_id = 0
+        self.stopped = False
+        self.stop_reason = ""
+        self.progress = 0.0
+
+    @property
+    def moving(self) -> bool:
+        """A trajectory is being executed or braked."""
+        return self._running is not None
+
+    def accept(self, trajectory: Trajectory, now: float, q: Array) -> None:
+        """Take a trajectory: at once from rest (start 0), or as a replacement at a seam.
+
+        Args:
+            now: node time [s]. q: measured joints (6,) [rad].
+
+        Raises:
+            RefusedError: it is late, breaks a limit, does not fit what the arm does, or a stop
+                is latched.
+        """
+        if self.stopped or self._stopping:
+            raise _refused(RefusalCode.STOPPED, f"{self.stop_reason}; send resume first")
+        if now > trajectory.expires:
+            raise _refused(RefusalCode.STALE, f"it expired {now - trajectory.expires:.3f} s ago")
+        if trajectory.id <= self.trajectory_id:
+            raise _refused(
+                RefusalCode.STALE, f"id {trajectory.id} is not above the last one, {self.trajectory_id}"
+            )
+        check_trajectory(trajectory, self._limits)
+        if trajectory.start > 0.0:
+            self._check_seam(trajectory, now)
+            self._next = trajectory
+            return
+        if self.moving:
+            raise _refused(RefusalCode.SEAM, "the arm is moving; give the start time of a seam")
+        for what, at in (("set-point", self.q), ("measured position", q)):
+            gap = float(np.abs(trajectory.q[0] - at).max())
+            if gap > _START_TOLERANCE:
+                raise _refused(RefusalCode.SEAM, f"it starts {gap:.3f} rad away from the arm's {what}")
+        if np.abs(trajectory.qd[0]).max() > 1e-6:
+            raise _refused(RefusalCode.SEAM, "a motion from rest must start at rest")
+        self._start(trajectory, 0.0)
+
+    def stop(self, reason: str) -> None:
+        """Brake on the path and latch; harmless when stopped already."""
+        if not self.stopped and not self._stopping:
+            self.stop_reason = reason
+            self._next = None
+            self._stopping = self.moving
+            self.stopped = not self.moving
+
+    def resume(self, q: Array) -> None:
+        """Lift a latched stop; the set-point becomes the measured joints q (6,) [rad].
+
+        Raises:
+            RefusedError: the arm is still braking.
+        """
+        if self._stopping:
+            raise _refused(RefusalCode.STOPPED, "the arm is still braking")
+        if self.stopped:
+            self.stopped, self.stop_reason = False, ""
+            self.q, self.qd = np.array(q, float), np.zeros(6)
+
+    def tick(self, now: float, speed_scaling: float = 1.0) -> tuple[Array, Array]:
+        """Set-point q [rad], qd [rad/s] for the end of the period that starts at `now` [s].
+
+        Args:
+            speed_scaling: the controller's own ratio 0..1; the path clock follows it.
+        """
+        end = now + self._period
+        if self._next is not None and end >= self._next.start - 1e-9:
+            nxt, self._next = self._next, None
+            self._start(nxt, end - nxt.start - self._period)
+        if self._running is None:
+            return self.q, self.qd
+        target = 0.0 if self._stopping else float(np.clip(speed_scaling, 0.0, 1.0))
+        self._advance(self._running, target)
+        return self.q, self.qd
+
+    # -- internals ------------------------------------------------------------------------------
+
+    def _start(self, trajectory: Trajectory, tau: float) -> None:
+        self._running, self._tau, self._rate = trajectory, tau, 1.0
+        self.trajectory_id, self.progress = trajectory.id, 0.0
+
+    def _advance(self, running: Trajectory, target: float) -> None:
+        rate, tau, q, qd = self._rate, self._tau, self.q, self.qd
+        if rate == target == 1.0:
+            tau += self._period
+            q, qd, _ = hermite(running.times, running.q, running.qd, tau)
+        else:
+            rate, tau, q, qd = self._change_rate(running, target)
+        self._rate, self._tau, self.q, self.qd = rate, tau, q, qd
+        duration = float(running.times[-1])
+        self.progress = min(1.0, tau / duration)
+        if tau >= duration - 1e-9:
+            self.q, self.qd, self.progress = running.q[-1].copy(), np.zeros(6), 1.0
+            self._end()
+        elif self._stopping and rate == 0.0:
+            self._end()
+
+    def _end(self) -> None:
+        self._running = None
+        self.qd = np.zeros(6)
+        if self._stopping:
+            self._stopping, self.stopped = False, True
+
+    def _change_rate(self, running: Trajectory, target: float) -> tuple[float, float, Array, Array]:
+        """The rate nearest to `target` whose change of joint speeds the limits allow."""
+        step = _MAX_RATE_CHANGE * self._period
+        wanted = float(np.clip(target, self._rate - step, self._rate + step))
+        best: tuple[float, tuple[float, float, Array, Array]] | None = None
+        for share in np.linspace(0.0, 1.0, _CANDIDATES):
+            rate = float(wanted + share * (self._rate - wanted))
+            rate = 0.0 if rate < 1e-3 and target == 0.0 else rate
+            tau = self._tau + 0.5 * (self._rate + rate) * self._period
+            q, slope, _ = hermite(running.times, running.q, running.qd, tau)
+            qd = rate * slope
+            excess = float((np.abs(qd - self.qd) / (self._limits.qdd_max * self._period)).max())
+            choice = (rate, tau, q, qd)
+            if excess <= 1.0:
+                return choice
+            if best is None or excess < best[0]:
+                best = (excess, choice)
+        assert best is not None
+        return best[1]
+
+    def _check_seam(self, trajectory: Trajectory, now: float) -> None:
+        """A replacement must meet the running trajectory, later than now, at full rate."""
+        if self._running is None:
+            raise _refused(RefusalCode.SEAM, "nothing is running; a motion from rest has start 0")
+        if self._rate != 1.0:
+            raise _refused(RefusalCode.SEAM, "the path clock is slowed down; no seam can be met")
+        if trajectory.start < now:
+            raise _refused(RefusalCode.STALE, f"its start lies {now - trajectory.start:.3f} s in the past")
+        tau = self._tau + trajectory.start - now
+        q, qd, _ = hermite(self._running.times, self._running.q, self._running.qd, tau)
+        gap = float(np.abs(trajectory.q[0] - q).max())
+        jump = float(np.abs(trajectory.qd[0] - qd).max())
+        if gap > _SEAM_POSITION or jump > _SEAM_SPEED:
+            raise _refused(
+                RefusalCode.SEAM,
+                f"at its start it is {gap:.4f} rad and {jump:.4f} rad/s off the running trajectory; "
+                f"at most {_SEAM_POSITION} rad and {_SEAM_SPEED} rad/s are allowed",
+            )
+
+
+def _refused(code: RefusalCode, reason: str) -> RefusedError:
+    return RefusedError(code.value, reason)
