@@ -23,7 +23,7 @@ class _Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """Base of all sections: immutable, and closed to unknown keys."""
 
 
-class ArmConfig(_Strict):
+class ArmConfig(_Strict, frozen=True):
     """The arm and how it is driven."""
 
     control_period: float
@@ -40,7 +40,7 @@ class ArmConfig(_Strict):
     """Fraction of the URDF's joint speed limits that plans may use."""
 
 
-class GripperConfig(_Strict):
+class GripperConfig(_Strict, frozen=True):
     """Parallel gripper; defaults are those of the Robotiq 2F-85."""
 
     stroke: float
@@ -58,7 +58,7 @@ class GripperConfig(_Strict):
     """What the supervisor asks for when it takes an onion [m/s], [N]."""
 
 
-class BeltConfig(_Strict):
+class BeltConfig(_Strict, frozen=True):
     """The conveyor: a box along y whose top is where onions lie."""
 
     top_z: float
@@ -72,7 +72,7 @@ class BeltConfig(_Strict):
     """The robot's working window on the belt [m]; every pose in it must be reachable."""
 
 
-class BinConfig(_Strict):
+class BinConfig(_Strict, frozen=True):
     """The open bin for blemished onions."""
 
     center: Vec3
@@ -83,7 +83,7 @@ class BinConfig(_Strict):
     """Height of the held onion's centre above the opening when it is let go [m]."""
 
 
-class CameraConfig(_Strict):
+class CameraConfig(_Strict, frozen=True):
     """An RGB-D camera; X_WC follows from position and target."""
 
     position: Vec3
@@ -110,7 +110,7 @@ class CameraConfig(_Strict):
     """Quantum of a depth reading [m]."""
 
 
-class OnionConfig(_Strict):
+class OnionConfig(_Strict, frozen=True):
     """The produce."""
 
     diameter: tuple[float, float]
@@ -121,7 +121,7 @@ class OnionConfig(_Strict):
     """Least distance between the centres of neighbours on the belt [m]."""
 
 
-class MotionConfig(_Strict):
+class MotionConfig(_Strict, frozen=True):
     """Speed and shape of motions."""
 
     collaborative_speed: float
@@ -138,7 +138,7 @@ class MotionConfig(_Strict):
     """Least distance kept between the arm and the cell's fixed parts when planning [m]."""
 
 
-class SupervisorConfig(_Strict):
+class SupervisorConfig(_Strict, frozen=True):
     """The decision loop."""
 
     ticks_per_cycle: int
@@ -161,7 +161,7 @@ class SupervisorConfig(_Strict):
     """Longest round [s]."""
 
 
-class CellConfig(_Strict):
+class CellConfig(_Strict, frozen=True):
     """The whole cell."""
 
     name: str
@@ -257,16 +257,24 @@ def _check(config: CellConfig) -> None:
             and belt.y[0] <= belt.pick_y[0] < belt.pick_y[1] <= belt.y[1],
             "belt.pick_x, belt.pick_y: a window inside belt.x, belt.y",
         ),
-        (0 < motion.collaborative_speed <= motion.industrial_speed, "motion.*_speed: 0 < collaborative <= industrial"),
+        (
+            0 < motion.collaborative_speed <= motion.industrial_speed,
+            "motion: 0 < collaborative_speed <= industrial_speed",
+        ),
         (0 < motion.speed_margin <= 1, "motion.speed_margin: in (0, 1]"),
         (0 < motion.acceleration_margin <= 1, "motion.acceleration_margin: in (0, 1]"),
-        (arm.control_period > 0 and arm.physics_substeps >= 1, "arm.control_period > 0, arm.physics_substeps >= 1"),
-        (arm.max_acceleration > 0 and 0 < arm.velocity_scale <= 1, "arm.max_acceleration > 0, arm.velocity_scale in (0, 1]"),
+        (arm.control_period > 0, "arm.control_period: above 0 s"),
+        (arm.physics_substeps >= 1, "arm.physics_substeps: at least 1"),
+        (arm.max_acceleration > 0, "arm.max_acceleration: above 0 rad/s^2"),
+        (0 < arm.velocity_scale <= 1, "arm.velocity_scale: in (0, 1]"),
         (0 <= arm.lag < 0.5, "arm.lag: in [0, 0.5) s"),
         (1024 <= config.port <= 65535, "port: 1024..65535"),
         ("belt" in config.cameras, "cameras: needs one called 'belt'"),
-        (config.onions.diameter[0] <= config.onions.diameter[1] < config.gripper.stroke, "onions.diameter: smallest <= largest < gripper.stroke"),
-        (config.supervisor.ticks_per_cycle >= 1, "supervisor.ticks_per_cycle >= 1"),
+        (
+            0 < config.onions.diameter[0] <= config.onions.diameter[1] < config.gripper.stroke,
+            "onions.diameter: 0 < smallest <= largest < gripper.stroke",
+        ),
+        (config.supervisor.ticks_per_cycle >= 1, "supervisor.ticks_per_cycle: at least 1"),
         (config.renderer in ("auto", "gl", "tiny"), "renderer: auto, gl or tiny"),
         (config.name.replace("_", "").isalnum(), "name: letters, digits and _"),
     ]

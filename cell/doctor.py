@@ -28,13 +28,23 @@ def examine(config_path: Path | None, renderer_problem: Callable[[], str]) -> bo
     def report(name: str, problem: str, note: str = "", needed: bool = True) -> None:
         nonlocal good
         good = good and (not problem or not needed)
-        mark = "[green]ok  [/green]" if not problem else ("[red]MISS[/red]" if needed else "[yellow]warn[/yellow]")
+        mark = (
+            "[green]ok  [/green]"
+            if not problem
+            else ("[red]MISS[/red]" if needed else "[yellow]warn[/yellow]")
+        )
         console.print(f"{mark} {name:<12} {problem or note}")
 
     wanted = sys.version_info[:2] == (3, 11)
-    report("python", "" if wanted else f"{platform.python_version()}; 3.11 is needed", platform.python_version())
+    report(
+        "python", "" if wanted else f"{platform.python_version()}; 3.11 is needed", platform.python_version()
+    )
     missing = _missing_packages()
-    report("packages", f"not installed: {', '.join(missing)}; run tools/run or pip install -e ." if missing else "", "all installed")
+    report(
+        "packages",
+        f"not installed: {', '.join(missing)}; run tools/run or pip install -e ." if missing else "",
+        "all installed",
+    )
     config: CellConfig | None = None
     try:
         config = load(config_path)
@@ -42,12 +52,19 @@ def examine(config_path: Path | None, renderer_problem: Callable[[], str]) -> bo
     except CellError as error:
         report("config", str(error))
     if config is not None and not missing:
-        report("reach", _problem(lambda: _check_reach(config)), "every pick, inspect and place pose is reachable")
+        report(
+            "reach", _problem(lambda: _check_reach(config)), "every pick, inspect and place pose is reachable"
+        )
         report("detector", _problem(lambda: _check_detector(config)), "weights load and run")
     if config is not None:
         report("port", _port_problem(config.port), f"{config.port} is free")
     problem = renderer_problem()
-    report("renderer", f"{problem}; the slower TinyRenderer is used" if problem else "", "EGL works", needed=False)
+    report(
+        "renderer",
+        f"{problem}; the slower TinyRenderer is used" if problem else "",
+        "EGL works",
+        needed=False,
+    )
     return good
 
 

@@ -86,8 +86,8 @@ def quaternion(R: Array) -> Array:
         2: [R[0, 2] + R[2, 0], R[2, 1] + R[1, 2], m[2], R[1, 0] - R[0, 1]],
         3: [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], m[3]],
     }[i]
-    out = np.array(q) / np.linalg.norm(q)
-    return out if out[3] >= 0 else -out
+    out: Array = np.array(q) / np.linalg.norm(q)
+    return out if out[3] >= 0 else np.negative(out)
 
 
 def from_quaternion(q: object) -> Array:

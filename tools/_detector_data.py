@@ -111,7 +111,9 @@ def _arrange(world, views, config: CellConfig, rng, held: int | None, randomise:
         X = _AWAY
         if len(chosen) < count:
             for _ in range(30):
-                p = np.array([rng.uniform(belt.pick_x[0] - 0.02, belt.pick_x[1] + 0.03), rng.uniform(-0.35, 0.35)])
+                p = np.array(
+                    [rng.uniform(belt.pick_x[0] - 0.02, belt.pick_x[1] + 0.03), rng.uniform(-0.35, 0.35)]
+                )
                 if all(np.linalg.norm(p - o) > 0.082 for o in chosen):
                     chosen.append(p)
                     X = pose(_random_rotation(rng), [*p, belt.top_z + 0.95 * world.onions[index].radius])
@@ -134,7 +136,9 @@ def _arrange(world, views, config: CellConfig, rng, held: int | None, randomise:
     for name in ("left_finger_joint", "right_finger_joint"):
         bullet.resetJointState(world.robot, world.joints[name], opening / 2, physicsClientId=world.client)
     if held is not None:
-        state = bullet.getLinkState(world.robot, world.joints["tcp_joint"], computeForwardKinematics=1, physicsClientId=world.client)
+        state = bullet.getLinkState(
+            world.robot, world.joints["tcp_joint"], computeForwardKinematics=1, physicsClientId=world.client
+        )
         X_WT = pose(from_quaternion(state[5]), state[4])
         world.set_onion_pose(held, X_WT @ pose(_random_rotation(rng), rng.normal(0, 0.003, 3)))
 

@@ -48,7 +48,9 @@ def score(detect: Detect, samples: list[Sample], config: CellConfig) -> dict[str
             right += box.label == kinds[best]
             if sample.on_belt[best] and not sample.held[best]:
                 located = locate(box, sample.depth, pinhole, X_WC)
-                errors.append(np.inf if located is None else float(np.linalg.norm(located.p_WO - sample.p_WO[best])))
+                errors.append(
+                    np.inf if located is None else float(np.linalg.norm(located.p_WO - sample.p_WO[best]))
+                )
         onions += len(sample.boxes)
         found += len(taken)
     precision = {name: _average_precision(ranked[name], truths[name]) for name in CLASSES}

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 from importlib.resources import files
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -124,7 +124,7 @@ def load(name_or_path: str) -> PolicyTable:
 def parse(text: str, name: str) -> PolicyTable:
     """Policy from CSV text; see `load`."""
     lines = text.splitlines()
-    edges = (0.0, 0.5, 1.0)
+    edges: tuple[float, ...] = (0.0, 0.5, 1.0)
     start = 0
     while start < len(lines) and lines[start].startswith("#"):
         edges = _edges(lines[start], name) or edges
@@ -136,7 +136,9 @@ def parse(text: str, name: str) -> PolicyTable:
     except (StopIteration, csv.Error) as error:
         raise PolicyError(f"policy {name}: no header row ({error})") from None
     if header != COLUMNS:
-        raise PolicyError(f"policy {name}: the header must be {','.join(COLUMNS)}; got {','.join(header)[:200]}")
+        raise PolicyError(
+            f"policy {name}: the header must be {','.join(COLUMNS)}; got {','.join(header)[:200]}"
+        )
     actions: dict[State, Action] = {}
     for number, row in rows:
         state, action = _row(row, f"policy {name}, line {number}", len(edges) - 1)
@@ -166,7 +168,7 @@ def _edges(comment: str, name: str) -> tuple[float, ...] | None:
                 edges = tuple(float(v) for v in word.removeprefix("belief_bins=").split(","))
             except ValueError:
                 raise PolicyError(f"policy {name}: belief_bins must be numbers, got {word!r}") from None
-            rising = all(a < b for a, b in zip(edges, edges[1:], strict=False))
+            rising = all(a < b for a, b in pairwise(edges))
             if len(edges) < 2 or len(edges) > 101 or edges[0] != 0.0 or edges[-1] != 1.0 or not rising:
                 raise PolicyError(f"policy {name}: belief_bins must rise from 0 to 1, got {word!r}")
             return edges

@@ -100,7 +100,11 @@ class Skills:
         if held and self.body.holds():
             self._X_WT_grasp = X_WT
             return Ended("done")
-        code, reason = ("lost_onion", "it slipped while lifting") if held else ("missed_grasp", "nothing between the fingers")
+        code, reason = (
+            ("lost_onion", "it slipped while lifting")
+            if held
+            else ("missed_grasp", "nothing between the fingers")
+        )
         if held:
             yield from self.body.grip(self._config.gripper.stroke)
         self.tracker.failed(grasp.track.id, self._config.supervisor.grasp_attempts, reason)
@@ -121,7 +125,9 @@ class Skills:
         worst = self.target.track.p_blemished if self.target else 0.0
         for view in self._views.views:
             yield from self.body.follow(
-                self._planner.plan_joints(self.body.q_rest, view.q, self.body.speed_cap, held_radius=self._held_radius())
+                self._planner.plan_joints(
+                    self.body.q_rest, view.q, self.body.speed_cap, held_radius=self._held_radius()
+                )
             )
             yield from self.body.settle()
             if not self.body.holds():
@@ -196,7 +202,9 @@ class Skills:
     def _go_home(self) -> Skill[None]:
         home = np.array(self._config.arm.home)
         if np.max(np.abs(self.body.q_rest - home)) > 1e-3:
-            yield from self.body.follow(self._planner.plan_joints(self.body.q_rest, home, self.body.speed_cap))
+            yield from self.body.follow(
+                self._planner.plan_joints(self.body.q_rest, home, self.body.speed_cap)
+            )
 
     def _to_pose(self, X_WT: Array, *, straight: bool = False, held: bool = False) -> Skill[None]:
         radius = self._held_radius() if held else 0.0

@@ -115,7 +115,13 @@ class CollisionModel:
             ("wrist", o[3], o[4], 0.045, 3),
             ("hand", o[4], o[5], 0.042, 3),
             ("hand", tcp + _PALM_BACK * z_T, tcp + (_PALM_FRONT - 0.03) * z_T, 0.040, 4),
-            ("hand", tcp + _PALM_FRONT * z_T - _BAR_HALF * x_T, tcp + _PALM_FRONT * z_T + _BAR_HALF * x_T, 0.017, 7),
+            (
+                "hand",
+                tcp + _PALM_FRONT * z_T - _BAR_HALF * x_T,
+                tcp + _PALM_FRONT * z_T + _BAR_HALF * x_T,
+                0.017,
+                7,
+            ),
         ]
         for sign in (-1.0, 1.0):
             finger = tcp + sign * out * x_T

@@ -50,7 +50,9 @@ class Planner:
             for q in self.kinematics.ik(X_WT, q_near)[:2]:
                 found.append((float(np.abs(q - q_near).max()), X_WT))
         if not found:
-            raise PlanError(f"bin.center: the drop pose at ({x:.3f}, {y:.3f}, {z + height:.3f}) m is out of reach")
+            raise PlanError(
+                f"bin.center: the drop pose at ({x:.3f}, {y:.3f}, {z + height:.3f}) m is out of reach"
+            )
         return min(found, key=lambda item: item[0])[1]
 
     def reachable(self, X_WT: Array, hover: float) -> bool:

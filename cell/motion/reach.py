@@ -44,7 +44,9 @@ def check_reachable(config: CellConfig) -> None:
         solutions = kinematics.ik(X_WT, home)
         x, y, z = X_WT[:3, 3]
         if not solutions:
-            raise ConfigError(f"{key} at ({x:.3f}, {y:.3f}, {z:.3f}) m is out of reach of the UR3e; {_ADVICE}")
+            raise ConfigError(
+                f"{key} at ({x:.3f}, {y:.3f}, {z:.3f}) m is out of reach of the UR3e; {_ADVICE}"
+            )
         clear = model.clearance(np.array(solutions))
         if clear.max() < wanted:
             _, pair = model.nearest(solutions[int(np.argmax(clear))])

@@ -142,7 +142,9 @@ def _bound_constraint_class() -> Any:
             self.dof = 6
             self._bound = bound
 
-        def compute_constraint_params(self, path: object, gridpoints: Array, *args: object) -> tuple[Any, ...]:
+        def compute_constraint_params(
+            self, path: object, gridpoints: Array, *args: object
+        ) -> tuple[Any, ...]:
             del path, gridpoints, args
             xbound = np.stack([np.zeros_like(self._bound), self._bound], axis=1)
             return None, None, None, None, None, None, xbound

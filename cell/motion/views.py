@@ -8,6 +8,7 @@ poses are searched once per cell, deterministically, for what they show and for 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -95,7 +96,7 @@ class InspectionViews:
     def _travel(self, views: list[View]) -> float:
         """Joint travel of the slowest joint, from a typical grasp through all views [rad]."""
         q = [self._q_start, *(v.q for v in views)]
-        return sum(float(np.abs(b - a).max()) for a, b in zip(q, q[1:], strict=False))
+        return sum(float(np.abs(b - a).max()) for a, b in pairwise(q))
 
     def _seen_on_belt(self, p_WO: Array) -> Array:
         """Probability that each patch was seen when the onion lay on the belt, over all yaws."""

@@ -41,9 +41,7 @@ class Located:
     residual: float
 
 
-def locate(
-    box: Box, depth: NDArray[np.float32], pinhole: Pinhole, X_WC: Array
-) -> Located | None:
+def locate(box: Box, depth: NDArray[np.float32], pinhole: Pinhole, X_WC: Array) -> Located | None:
     """Centre and radius of the onion in `box`; None without enough valid depth.
 
     Args:

@@ -79,13 +79,17 @@ def _assign(
     chance = (objects[candidates, None].sigmoid() * kinds[candidates].sigmoid()).sqrt()
     soft = torch.stack([target[:, 4], 1.0 - target[:, 4]], dim=1)
     kind_cost = binary_cross_entropy(
-        chance[:, None, :].expand(-1, len(target), -1), soft[None].expand(len(candidates), -1, -1), reduction="none"
+        chance[:, None, :].expand(-1, len(target), -1),
+        soft[None].expand(len(candidates), -1, -1),
+        reduction="none",
     ).sum(dim=2)
     cost = kind_cost - 3.0 * torch.log(overlap + 1e-8) + 1e5 * (~allowed)
     owner = torch.full((len(candidates),), -1)
     best = torch.full((len(candidates),), torch.inf)
     for g in range(len(target)):
-        count = int(overlap[allowed[:, g], g].topk(min(_MOST, int(allowed[:, g].sum()))).values.sum().clamp(1, _MOST))
+        count = int(
+            overlap[allowed[:, g], g].topk(min(_MOST, int(allowed[:, g].sum()))).values.sum().clamp(1, _MOST)
+        )
         picked = cost[:, g].topk(min(count, len(candidates)), largest=False).indices
         picked = picked[allowed[picked, g] & (cost[picked, g] < best[picked])]
         owner[picked], best[picked] = g, cost[picked, g]

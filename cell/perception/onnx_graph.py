@@ -34,7 +34,7 @@ def build(weights: Weights) -> bytes:
     n3 = g.csp("merge_up", g.concat(g.conv("down2", p2, 2), p3), 1)
     g.head("head8", p2, "level8")
     g.head("head16", n3, "level16")
-    shape = [1, 3, "height", "width"]
+    shape: list[str | int | None] = [1, 3, "height", "width"]
     graph = helper.make_graph(
         g.nodes,
         "onion_detector",
@@ -88,7 +88,9 @@ class _Graph:
         for branch in ("box", "kind"):
             y = self.conv(f"{name}.{branch}", x)
             out = f"{name}.{branch}_out"
-            parts.append(self._convolve(out, y, self._weights[f"{out}.weight"], self._weights[f"{out}.bias"], 1))
+            parts.append(
+                self._convolve(out, y, self._weights[f"{out}.weight"], self._weights[f"{out}.bias"], 1)
+            )
         self.nodes.append(helper.make_node("Concat", parts, [output], axis=1))
 
     def concat(self, a: str, b: str) -> str:
@@ -108,10 +110,16 @@ class _Graph:
         self, name: str, x: str, kernel: NDArray[np.float32], bias: NDArray[np.float32], stride: int
     ) -> str:
         for suffix, value in (("kernel", kernel), ("bias", bias)):
-            self.constants.append(numpy_helper.from_array(np.ascontiguousarray(value, np.float32), f"{name}.{suffix}"))
+            self.constants.append(
+                numpy_helper.from_array(np.ascontiguousarray(value, np.float32), f"{name}.{suffix}")
+            )
         pad = kernel.shape[2] // 2
         return self._node(
-            "Conv", [x, f"{name}.kernel", f"{name}.bias"], f"{name}.conv", strides=[stride] * 2, pads=[pad] * 4
+            "Conv",
+            [x, f"{name}.kernel", f"{name}.bias"],
+            f"{name}.conv",
+            strides=[stride] * 2,
+            pads=[pad] * 4,
         )
 
     def _node(self, kind: str, inputs: list[str], output: str, **attributes: Any) -> str:

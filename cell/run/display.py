@@ -26,7 +26,9 @@ class Progress:
 
     def __init__(self, console: Console, onions: int, gripper_length: float) -> None:
         self._console, self._onions, self._length = console, onions, gripper_length
-        self._live = Live(console=console, refresh_per_second=10, transient=True) if console.is_terminal else None
+        self._live = (
+            Live(console=console, refresh_per_second=10, transient=True) if console.is_terminal else None
+        )
         self._drawn = 0.0
         self._sorted = 0
         self._last: tuple[float, object] | None = None
@@ -87,8 +89,14 @@ def summary(console: Console, result: RoundResult) -> None:
     rows = [
         ("sorted", f"{result.sorted} of {result.onions}"),
         ("misplaced / dropped", f"{result.misplaced} / {result.dropped}"),
-        ("sort time", f"{result.sort_time_s:.1f} s ({result.sort_time_s / max(result.sorted, 1):.1f} s an onion)"),
-        ("fastest tool", f"{speed['collaborative']:.3f} m/s collaborative, {speed['industrial']:.3f} m/s industrial"),
+        (
+            "sort time",
+            f"{result.sort_time_s:.1f} s ({result.sort_time_s / max(result.sorted, 1):.1f} s an onion)",
+        ),
+        (
+            "fastest tool",
+            f"{speed['collaborative']:.3f} m/s collaborative, {speed['industrial']:.3f} m/s industrial",
+        ),
         ("in industrial mode", f"{result.industrial_s:.1f} s"),
         ("real-time factor", f"{result.real_time_factor:.2f}"),
         ("policy, seed", f"{result.policy}, {result.seed}"),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import threading
+from itertools import pairwise
 
 import numpy as np
 
@@ -81,7 +82,7 @@ class Meter:
     def mode_switches(self) -> int:
         """Changes between collaborative and industrial mode."""
         working = [m for _, m in self._modes if m in (Mode.COLLABORATIVE, Mode.INDUSTRIAL)]
-        return sum(a != b for a, b in zip(working, working[1:], strict=False))
+        return sum(a != b for a, b in pairwise(working))
 
     def digests(self) -> dict[str, str]:
         """SHA-256 of the executed joint states, the images and the decisions."""

@@ -80,11 +80,7 @@ class SimArm:
             + s * s * (3 - 2 * s) * q1
             + s * s * (s - 1) * h * qd1
         )
-        qd = (
-            6 * s * (s - 1) / h * (q0 - q1)
-            + (1 - s) * (1 - 3 * s) * qd0
-            + s * (3 * s - 2) * qd1
-        )
+        qd = 6 * s * (s - 1) / h * (q0 - q1) + (1 - s) * (1 - 3 * s) * qd0 + s * (3 * s - 2) * qd1
         return q, qd
 
     def _drive(self, q: Array, qd: Array) -> None:

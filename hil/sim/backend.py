@@ -59,9 +59,7 @@ class SimBackend:
             choice = best_renderer()
         self._world = World(self._config, seed, onions, reference_visuals=choice == "tiny")
         self._renderer = make_renderer(choice, self._world.client, self._world.scene)
-        self._cameras = {
-            name: Camera(name, camera, seed) for name, camera in self._config.cameras.items()
-        }
+        self._cameras = {name: Camera(name, camera, seed) for name, camera in self._config.cameras.items()}
         self._batch = 1
         self._fingers_moving = False
         self._contacts, self._contact_ticks = [], 0

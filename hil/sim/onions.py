@@ -93,7 +93,7 @@ def collision_vertices(onion: Onion) -> Array:
 def _spiral(count: int) -> tuple[Array, Array]:
     """Heights and longitudes of `count` evenly spread points of the unit sphere."""
     k = np.arange(count) + 0.5
-    return 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    return 1 - 2 * k / count, np.asarray(np.pi * (1 + 5**0.5) * k, float)
 
 
 def _mesh(rng: np.random.Generator, radius: float, height: float) -> Mesh:
@@ -154,7 +154,8 @@ def _noise(rng: np.random.Generator, octaves: int = 4) -> Array:
         coarse = rng.normal(size=(cells // 2 + 1, cells)).astype(np.float32)
         coarse = np.concatenate([coarse, coarse[:, :2]], axis=1)
         wide = columns + round(columns * 2 / cells)
-        total += cv2.resize(coarse, (wide, rows), interpolation=cv2.INTER_CUBIC)[:, :columns] / 1.6**octave
+        fine = np.asarray(cv2.resize(coarse, (wide, rows), interpolation=cv2.INTER_CUBIC), float)
+        total += fine[:, :columns] / 1.6**octave
     out: Array = total / total.std()
     return out
 

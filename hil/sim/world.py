@@ -38,7 +38,9 @@ class World:
             and which cost about half a second.
     """
 
-    def __init__(self, config: CellConfig, seed: int, onions: int, *, reference_visuals: bool = False) -> None:
+    def __init__(
+        self, config: CellConfig, seed: int, onions: int, *, reference_visuals: bool = False
+    ) -> None:
         self.config = config
         self.time_step = config.arm.control_period / config.arm.physics_substeps
         self.client = connect(self.time_step)
@@ -124,7 +126,9 @@ class World:
         if len(size) == 3:
             half = [v / 2 for v in size]
             shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=half, physicsClientId=c)
-            visual = bullet.createVisualShape(bullet.GEOM_BOX, halfExtents=half, rgbaColor=rgba, physicsClientId=c)
+            visual = bullet.createVisualShape(
+                bullet.GEOM_BOX, halfExtents=half, rgbaColor=rgba, physicsClientId=c
+            )
             mesh = box_mesh(size)
         else:
             radius, length = size
@@ -141,7 +145,9 @@ class World:
         bullet.changeDynamics(body, -1, lateralFriction=0.8, rollingFriction=0.01, physicsClientId=c)
         self.fixed[body] = group
         self.scene.add(
-            Visual(body=body, link=-1, X_LV=np.eye(4), mesh=mesh, rgba=rgba, texture=None, label=LABELS[group])
+            Visual(
+                body=body, link=-1, X_LV=np.eye(4), mesh=mesh, rgba=rgba, texture=None, label=LABELS[group]
+            )
         )
 
     def _add_robot(self) -> tuple[int, dict[str, int]]:
@@ -163,7 +169,9 @@ class World:
                 bullet.changeDynamics(
                     body, index, mass=1e-5, localInertiaDiagonal=[1e-9] * 3, physicsClientId=c
                 )
-            bullet.changeDynamics(body, index, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, physicsClientId=c)
+            bullet.changeDynamics(
+                body, index, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, physicsClientId=c
+            )
         add_urdf_visuals(self.scene, text, body, c, LABELS["robot"], urdf.resolve)
         return body, joints
 
