@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from cell.config import CellConfig, load
 from cell.frames import Array, Pinhole, from_quaternion, look_at, pose, rot_z
+from cell.motion.planner import Planner
 from cell.motion.views import InspectionViews
 from hil.sim.camera import sense
 from hil.sim.physics import bullet
@@ -57,7 +58,7 @@ def generate(count: int, seed: int, randomise: bool) -> list[Sample]:
     config = load()
     if randomise:
         config = replace(config, onions=replace(config.onions, blemished_share=TRAINING_SHARE))
-    views = InspectionViews(config)
+    views, planner = InspectionViews(config), Planner(config)
     rng = np.random.default_rng([seed, 0xDE7EC7])
     out: list[Sample] = []
     while len(out) < count:
@@ -65,7 +66,7 @@ def generate(count: int, seed: int, randomise: bool) -> list[Sample]:
         renderer = make_renderer("gl", world.client, world.scene)
         try:
             for _ in range(min(_PER_WORLD, count - len(out))):
-                out.append(_sample(world, renderer, views, config, rng, randomise))
+                out.append(_sample(world, renderer, views, planner, config, rng, randomise))
         finally:
             renderer.close()
             world.close()
@@ -80,9 +81,9 @@ def generate_parallel(count: int, seed: int, randomise: bool, workers: int = 2) 
         return [sample for part in parts for sample in part]
 
 
-def _sample(world, renderer, views, config: CellConfig, rng, randomise: bool) -> Sample:  # type: ignore[no-untyped-def]
+def _sample(world, renderer, views, planner, config: CellConfig, rng, randomise: bool) -> Sample:  # type: ignore[no-untyped-def]
     held = int(rng.integers(15)) if rng.random() < HELD_SHARE else None
-    _arrange(world, views, config, rng, held, randomise)
+    _arrange(world, views, planner, config, rng, held, randomise)
     camera = config.cameras["belt"]
     position, target = np.array(camera.position), np.array(camera.target)
     turn = np.eye(3)
@@ -100,9 +101,10 @@ def _sample(world, renderer, views, config: CellConfig, rng, randomise: bool) ->
     return _label(world, image, rgb, depth, held)
 
 
-def _arrange(world, views, config: CellConfig, rng, held: int | None, randomise: bool) -> None:  # type: ignore[no-untyped-def]
+def _arrange(world, views, planner, config: CellConfig, rng, held: int | None, randomise: bool) -> None:  # type: ignore[no-untyped-def]
     """Put arm and onions somewhere plausible."""
     belt, c = config.belt, config.bin
+    camera_position = np.array(config.cameras["belt"].position)
     chosen: list[Array] = []
     count = int(rng.integers(1, 16))
     for index in range(15):
@@ -127,8 +129,8 @@ def _arrange(world, views, config: CellConfig, rng, held: int | None, randomise:
     if held is not None:
         view = views.views[int(rng.integers(len(views.views)))]
         q = view.q + rng.normal(0, 0.02 if randomise else 0.003, 6)
-        if randomise and rng.random() < 0.3:
-            q[5] = rng.uniform(-np.pi, np.pi)
+        if randomise and rng.random() < 0.5:
+            q = _shown_anywhere(planner, camera_position, rng, view.q)
         opening = 1.96 * world.onions[held].radius
     elif randomise and rng.random() < 0.3:
         q = q + rng.normal(0, 0.25, 6)
@@ -165,6 +167,21 @@ def _label(world, image: Image, rgb, depth, held: int | None) -> Sample:  # type
         np.array(in_hand, bool),
         np.array(on_belt, bool),
     )
+
+
+def _shown_anywhere(planner: Planner, p_WC: Array, rng: np.random.Generator, q_near: Array) -> Array:
+    """Arm pose (6,) [rad] that shows a held onion somewhere else, so that no place is learnt by heart."""
+    for _ in range(40):
+        p_WT = rng.uniform((0.15, -0.30, -0.05), (0.45, 0.30, 0.35))
+        z_T = (p_WC - p_WT) / np.linalg.norm(p_WC - p_WT) + rng.normal(0, 0.8, 3)
+        z_T /= np.linalg.norm(z_T)
+        x_T = np.cross(z_T, rng.normal(size=3))
+        x_T /= np.linalg.norm(x_T)
+        found = planner.kinematics.ik(pose(np.column_stack([x_T, np.cross(z_T, x_T), z_T]), p_WT), q_near)
+        free = [q for q in found if planner.collision.clearance(q[None], held_radius=0.04)[0] > 0.0]
+        if free:
+            return free[0]
+    return q_near
 
 
 def _lighting(rng: np.random.Generator) -> Lighting:

@@ -1,36 +1,72 @@
 """Distances between the arm and the fixed cell, and between its own parts.
 
-The arm is a chain of capsules with the published link radii, sampled as spheres; the cell is
-made of boxes and posts. Everything is vectorised over configurations: a path of 60 of them
-takes about two milliseconds.
+The arm, the gripper and a held onion are rows of spheres that enclose capsules with the
+published link radii; the cell is made of boxes and posts. Everything is vectorised over
+configurations: a path of 60 of them takes about two milliseconds.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.config import CellConfig
 from cell.frames import Array, look_at
-from cell.limits import link_frames
+from cell.limits import DH_A, DH_D, link_frames
 
 _SHOULDER_OFFSET, _ELBOW_OFFSET = 0.120, 0.027
 """Distances of the upper arm and the forearm from the plane of joints 2 and 3 [m]."""
-_FINGER_TIP, _FINGER_ROOT, _FINGER_OUT = 0.011, -0.047, 0.007
+_FINGER_TIP, _FINGER_ROOT, _FINGER_OUT, _FINGER_RADIUS = 0.011, -0.047, 0.007, 0.012
 """Fingers along z of the TCP frame, and their middle outside the pads [m]."""
 _PALM_BACK, _PALM_FRONT, _BAR_HALF = -0.163, -0.074, 0.058
 _WALL = 0.006
 POST_RADIUS, CAMERA_RADIUS = 0.02, 0.06
+_POST_BEHIND = 0.0645
+"""A camera's post stands this far behind its optical centre [m]."""
+TOUCH = 0.002
+"""Least distance of the fingertips from the belt where they may come near it [m]."""
+_FLOOR_Z = -0.75
 _FAR = 10.0
+_PEDESTAL = 0.10
+
+_FURNISHED = ("upper arm", "elbow", "forearm", "wrist", "hand", "finger", "onion")
+"""What can meet furniture; base and shoulder are bolted down and turn on the spot."""
+_TOOL = ("hand", "finger", "onion")
+_SELF = (
+    (("base", "shoulder", "upper arm"), ("wrist", "hand", "finger", "onion")),
+    (("elbow", "forearm"), _TOOL),
+)
+"""Parts of the arm that can meet each other."""
 
 
 @dataclass(frozen=True)
-class Part:
-    """Spheres along one capsule: indices into the sphere arrays."""
+class _Capsule:
+    """A row of spheres rigid in frame `frame` (0 world, 1..6 links, 7 TCP), from a to b [m]."""
 
     name: str
-    spheres: slice
+    frame: int
+    a: tuple[float, float, float]
+    b: tuple[float, float, float]
+    radius: float
+    count: int
+
+
+_ARM = (
+    _Capsule("base", 0, (0, 0, 0), (0, 0, DH_D[0]), 0.075, 4),
+    _Capsule("shoulder", 1, (0, 0, 0), (0, 0, _SHOULDER_OFFSET), 0.060, 4),
+    _Capsule("upper arm", 2, (-DH_A[1], 0, _SHOULDER_OFFSET), (0, 0, _SHOULDER_OFFSET), 0.054, 8),
+    _Capsule("elbow", 2, (0, 0, _SHOULDER_OFFSET), (0, 0, _ELBOW_OFFSET), 0.058, 4),
+    _Capsule("forearm", 3, (-DH_A[2], 0, _ELBOW_OFFSET), (0, 0, _ELBOW_OFFSET), 0.040, 9),
+    _Capsule("wrist", 3, (0, 0, _ELBOW_OFFSET), (0, 0, DH_D[3]), 0.045, 5),
+    _Capsule("wrist", 4, (0, 0, 0), (0, 0, DH_D[4]), 0.045, 4),
+    _Capsule("hand", 5, (0, 0, 0), (0, 0, DH_D[5]), 0.042, 4),
+    _Capsule("hand", 7, (0, 0, _PALM_BACK), (0, 0, _PALM_FRONT - 0.03), 0.040, 4),
+    _Capsule("hand", 7, (-_BAR_HALF, 0, _PALM_FRONT), (_BAR_HALF, 0, _PALM_FRONT), 0.017, 9),
+)
+"""Everything but the fingers, which move, and the held onion."""
 
 
 class CollisionModel:
@@ -39,47 +75,52 @@ class CollisionModel:
     def __init__(self, config: CellConfig) -> None:
         self._length = config.gripper.length
         self._stroke = config.gripper.stroke
-        self._boxes, self._box_names = _boxes(config)
-        self._posts = [
-            (np.array(look_at(c.position, c.target)[:3, 3]), look_at(c.position, c.target)[:3, 2])
-            for c in config.cameras.values()
-        ]
-        self._parts: list[Part] = []
-        self._radii = np.empty(0)
+        self._credit = config.motion.clearance - TOUCH
+        self._names_fixed, self._low, self._high = _boxes(config)
+        self._belt = np.array([name == "belt" for name in self._names_fixed])
+        eyes = [look_at(c.position, c.target) for c in config.cameras.values()]
+        self._cameras = np.array([X[:3, 3] for X in eyes])
+        self._posts = np.array([X[:3, 3] - _POST_BEHIND * X[:3, 2] for X in eyes])
 
-    def clearance(self, q: Array, *, width: float | None = None, held_radius: float = 0.0) -> Array:
+    def clearance(
+        self, q: Array, *, width: float | None = None, held_radius: float = 0.0, touching: bool = False
+    ) -> Array:
         """Least distance of arm, gripper and held onion to anything, shape (N,) [m].
 
         Args:
             q: joint angles (N, 6) [rad].
             width: distance between the pads [m]; the full stroke if not given.
             held_radius: radius of an onion held at the TCP [m], 0 for none.
+            touching: the tool approaches or leaves the belt on purpose. The held onion may then
+                lie on the belt, and fingertips count as `motion.clearance` away when they are
+                2 mm from it.
         """
-        p, r, names = self.spheres(q, width=width, held_radius=held_radius)
-        best = np.full(len(p), _FAR)
-        # Links that are bolted down, or that always pass near the base, see no furniture.
-        free = np.array([name not in ("base", "shoulder") for name in names])
-        for lo, hi in self._boxes:
-            outside = np.maximum(np.maximum(lo - p[:, free], p[:, free] - hi), 0.0)
-            best = np.minimum(best, (np.linalg.norm(outside, axis=2) - r[free]).min(axis=1))
-        for camera, axis in self._posts:
-            post = camera - 0.065 * axis
-            level = np.hypot(p[:, free, 0] - post[0], p[:, free, 1] - post[1]) - POST_RADIUS - r[free]
-            below = p[:, free, 2] <= camera[2]
-            best = np.minimum(best, np.where(below, level, _FAR).min(axis=1))
-            housing = np.linalg.norm(p[:, free] - camera, axis=2) - CAMERA_RADIUS - r[free]
-            best = np.minimum(best, housing.min(axis=1))
-        return np.minimum(best, self._self_clearance(p, r, names))
+        gaps, _ = self._gaps(np.atleast_2d(q), width, held_radius, touching)
+        out: Array = gaps.min(axis=1)
+        return out
 
-    def hides(self, q: Array, p_WC: Array, p_WP: Array, *, radius: float) -> Array:
-        """Which points the arm hides from a camera, shape (N, M) bool.
+    def nearest(
+        self, q: Array, *, width: float | None = None, held_radius: float = 0.0, touching: bool = False
+    ) -> tuple[float, str]:
+        """The least clearance [m] over configurations (N, 6) or (6,), and which two parts it is between."""
+        gaps, pairs = self._gaps(np.atleast_2d(q), width, held_radius, touching)
+        least = gaps.min(axis=0)
+        worst = int(np.argmin(least))
+        return float(least[worst]), pairs[worst]
+
+    def hides(self, q: Array, p_WC: Array, p_WP: Array, *, radius: float, tool: bool = True) -> NDArray[np.bool_]:
+        """Which points the arm hides from a camera, shape (N, M).
 
         Args:
             q: joint angles (N, 6) [rad]. p_WC: the camera (3,) [m]. p_WP: points (M, 3) [m].
             radius: of the thing at each point that must be seen whole [m].
+            tool: the gripper hides things too.
         """
-        p, r, _ = self.spheres(q)
-        ray = p_WP - p_WC
+        p, r, names = self.spheres(np.atleast_2d(q))
+        if not tool:
+            arm = [name not in _TOOL for name in names]
+            p, r = p[:, arm], r[arm]
+        ray = np.atleast_2d(p_WP) - p_WC
         length = np.linalg.norm(ray, axis=1)
         ray = ray / length[:, None]
         offset = p - p_WC
@@ -87,66 +128,99 @@ class CollisionModel:
         across2 = np.einsum("nsj,nsj->ns", offset, offset)[:, :, None] - along**2
         near = np.clip(along / length, 0, 1) * radius  # the cone of sight narrows to the camera
         hit = (along > 0) & (along < length - radius) & (across2 < (r[None, :, None] + near) ** 2)
-        out: Array = hit.any(axis=1)
+        out: NDArray[np.bool_] = hit.any(axis=1)
         return out
 
     def spheres(
         self, q: Array, *, width: float | None = None, held_radius: float = 0.0
-    ) -> tuple[Array, Array, list[str]]:
+    ) -> tuple[Array, Array, tuple[str, ...]]:
         """Sphere centres (N, S, 3) [m], radii (S,) [m] and part names for configurations (N, 6)."""
+        body = _body(self._length, self._stroke if width is None else width, held_radius)
         X = link_frames(q)
-        n = len(X)
-        z = [X[:, i, :3, 2] for i in range(6)]
-        o = [X[:, i, :3, 3] for i in range(6)]
-        zero = np.zeros((n, 3))
-        side = z[0]
-        shoulder, elbow_out = o[0] + _SHOULDER_OFFSET * side, o[1] + _SHOULDER_OFFSET * side
-        elbow_in, wrist_in = o[1] + _ELBOW_OFFSET * side, o[2] + _ELBOW_OFFSET * side
-        x_T, z_T = X[:, 5, :3, 0], z[5]
-        tcp = o[5] + self._length * z_T
-        out = (self._stroke if width is None else width) / 2 + _FINGER_OUT
-        chain: list[tuple[str, Array, Array, float, int]] = [
-            ("base", zero, o[0], 0.075, 3),
-            ("shoulder", o[0], shoulder, 0.060, 3),
-            ("upper_arm", shoulder, elbow_out, 0.054, 7),
-            ("elbow", elbow_out, elbow_in, 0.058, 3),
-            ("forearm", elbow_in, wrist_in, 0.042, 7),
-            ("wrist", wrist_in, o[3], 0.045, 4),
-            ("wrist", o[3], o[4], 0.045, 3),
-            ("hand", o[4], o[5], 0.042, 3),
-            ("hand", tcp + _PALM_BACK * z_T, tcp + (_PALM_FRONT - 0.03) * z_T, 0.040, 4),
-            (
-                "hand",
-                tcp + _PALM_FRONT * z_T - _BAR_HALF * x_T,
-                tcp + _PALM_FRONT * z_T + _BAR_HALF * x_T,
-                0.017,
-                7,
-            ),
-        ]
-        for sign in (-1.0, 1.0):
-            finger = tcp + sign * out * x_T
-            tip, root = finger + (_FINGER_TIP - 0.011) * z_T, finger + _FINGER_ROOT * z_T
-            chain.append(("finger", tip, root, 0.012, 5))
-        if held_radius > 0.0:
-            chain.append(("onion", tcp, tcp, held_radius, 1))
-        centres, radii, names = [], [], []
-        for name, a, b, radius, count in chain:
-            for w in np.linspace(0.0, 1.0, count):
-                centres.append((1 - w) * a + w * b)
-                radii.append(radius)
-                names.append(name)
-        return np.stack(centres, axis=1), np.array(radii), names
+        X = np.concatenate([np.tile(np.eye(4), (len(X), 1, 1, 1)), X], axis=1)[:, body.frames]
+        centres: Array = (X[..., :3, :3] @ body.local[:, :, None])[..., 0] + X[..., :3, 3]
+        return centres, body.radii, body.names
 
-    def _self_clearance(self, p: Array, r: Array, names: list[str]) -> Array:
-        fixed = [i for i, name in enumerate(names) if name in ("base", "shoulder", "upper_arm")]
-        moving = [i for i, name in enumerate(names) if name in ("wrist", "hand", "finger", "onion")]
-        gap = np.linalg.norm(p[:, fixed, None] - p[:, None, moving], axis=3)
-        out: Array = (gap - r[fixed][None, :, None] - r[moving][None, None, :]).min(axis=(1, 2))
-        return out
+    def _gaps(
+        self, q: Array, width: float | None, held_radius: float, touching: bool
+    ) -> tuple[Array, list[str]]:
+        """Distances (N, P) [m] of the pairs of things that can touch, and the pairs' names."""
+        p, r, names = self.spheres(q, width=width, held_radius=held_radius)
+        free = _where(names, _FURNISHED)
+        pf, rf = p[:, free], r[free]
+        outside = np.maximum(np.maximum(self._low - pf[:, :, None], pf[:, :, None] - self._high), 0.0)
+        boxes = np.sqrt(np.einsum("nsbj,nsbj->nsb", outside, outside)) - rf[:, None]
+        away = pf[:, :, None] - self._cameras
+        housings = np.sqrt(np.einsum("nscj,nscj->nsc", away, away)) - CAMERA_RADIUS - rf[:, None]
+        level = np.hypot(*np.moveaxis(pf[:, :, None, :2] - self._posts[:, :2], -1, 0))
+        posts = np.where(pf[:, :, None, 2] <= self._cameras[:, 2], level - POST_RADIUS - rf[:, None], _FAR)
+        fixed = np.concatenate([boxes, housings, posts], axis=2)
+        things = [*self._names_fixed, *["camera"] * len(self._cameras), *["camera post"] * len(self._posts)]
+        gaps: list[Array] = []
+        pairs: list[str] = []
+        for part in _FURNISHED:
+            rows = np.flatnonzero(np.isin(free, _where(names, (part,))))
+            if not len(rows):
+                continue
+            gap = fixed[:, rows].min(axis=1)
+            if touching and part == "finger":
+                gap[:, : len(self._belt)][:, self._belt] += self._credit
+            if touching and part == "onion":
+                gap[:, : len(self._belt)][:, self._belt] = _FAR
+            gaps.append(gap)
+            pairs += [f"{part} and {thing}" for thing in things]
+        for these, those in _SELF:
+            a, b = _where(names, these), _where(names, those)
+            between = p[:, a, None] - p[:, None, b]
+            gap = np.sqrt(np.einsum("nabj,nabj->nab", between, between)) - r[a][:, None] - r[b]
+            gaps.append(gap.min(axis=(1, 2))[:, None])
+            pairs.append(f"{' or '.join(those)} and the arm's {' or '.join(these)}")
+        return np.concatenate(gaps, axis=1), pairs
 
 
-def _boxes(config: CellConfig) -> tuple[list[tuple[Array, Array]], list[str]]:
-    """Corners (low, high) [m] of the cell's boxes, and their names."""
+@dataclass(frozen=True)
+class _Body:
+    """Centres (S, 3) in their frames [m], radii (S,) [m], frame indices (S,) and names."""
+
+    local: Array
+    radii: Array
+    frames: NDArray[np.intp]
+    names: tuple[str, ...]
+
+
+@lru_cache(maxsize=64)
+def _body(gripper_length: float, width: float, held_radius: float) -> _Body:
+    out, tip = width / 2 + _FINGER_OUT, _FINGER_TIP - 0.9 * _FINGER_RADIUS
+    capsules = [
+        *_ARM,
+        *(_Capsule("finger", 7, (x, 0, tip), (x, 0, _FINGER_ROOT), _FINGER_RADIUS, 6) for x in (-out, out)),
+    ]
+    if held_radius > 0.0:
+        capsules.append(_Capsule("onion", 7, (0, 0, 0), (0, 0, 0), held_radius, 1))
+    centres: list[Array] = []
+    radii: list[float] = []
+    frames: list[int] = []
+    names: list[str] = []
+    for c in capsules:
+        a, b = np.array(c.a, float), np.array(c.b, float)
+        if c.frame == 7:
+            a, b = a + (0, 0, gripper_length), b + (0, 0, gripper_length)
+        step = float(np.linalg.norm(b - a)) / max(c.count - 1, 1)
+        for w in np.linspace(0.0, 1.0, c.count):
+            centres.append((1 - w) * a + w * b)
+            radii.append(float(np.hypot(c.radius, step / 2)))  # the row encloses the capsule's side
+            frames.append(min(c.frame, 6))
+            names.append(c.name)
+    return _Body(np.array(centres), np.array(radii), np.array(frames), tuple(names))
+
+
+@lru_cache(maxsize=64)
+def _where(names: tuple[str, ...], wanted: tuple[str, ...]) -> NDArray[np.intp]:
+    return np.flatnonzero([name in wanted for name in names])
+
+
+def _boxes(config: CellConfig) -> tuple[list[str], Array, Array]:
+    """Names of the cell's boxes and their corners, low and high, shape (B, 3) [m]."""
     b, c = config.belt, config.bin
     (cx, cy, top), (sx, sy, depth) = c.center, c.size
     x0, x1, y0, y1, z0 = cx - sx / 2, cx + sx / 2, cy - sy / 2, cy + sy / 2, top - depth
@@ -156,8 +230,8 @@ def _boxes(config: CellConfig) -> tuple[list[tuple[Array, Array]], list[str]]:
         ("bin", (x1, y0 - _WALL, z0), (x1 + _WALL, y1 + _WALL, top)),
         ("bin", (x0, y0 - _WALL, z0), (x1, y0, top)),
         ("bin", (x0, y1, z0), (x1, y1 + _WALL, top)),
-        ("bin", (x0, y0, z0 - _WALL), (x1, y1, z0)),
-        ("pedestal", (-0.10, -0.10, -1.0), (0.10, 0.10, -0.002)),
-        ("floor", (-5.0, -5.0, -2.0), (5.0, 5.0, -0.75)),
+        ("bin", (x0, y0 - _WALL, z0 - _WALL), (x1, y1 + _WALL, z0)),
+        ("pedestal", (-_PEDESTAL, -_PEDESTAL, -1.0), (_PEDESTAL, _PEDESTAL, -0.002)),
+        ("floor", (-5.0, -5.0, -2.0), (5.0, 5.0, _FLOOR_Z)),
     ]
-    return [(np.array(lo), np.array(hi)) for _, lo, hi in boxes], [name for name, _, _ in boxes]
+    return [n for n, _, _ in boxes], np.array([lo for _, lo, _ in boxes]), np.array([hi for _, _, hi in boxes])

@@ -51,7 +51,8 @@ def check_reachable(config: CellConfig) -> None:
         if clear.max() < wanted:
             _, pair = model.nearest(solutions[int(np.argmax(clear))])
             raise ConfigError(
-                f"{key} at ({x:.3f}, {y:.3f}, {z:.3f}) m is in reach only by touching something ({pair}); {_ADVICE}"
+                f"{key} at ({x:.3f}, {y:.3f}, {z:.3f}) m is in reach only by touching something "
+                f"({pair}); {_ADVICE}"
             )
 
 

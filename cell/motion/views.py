@@ -15,13 +15,14 @@ import numpy as np
 from cell.config import CellConfig
 from cell.errors import ConfigError
 from cell.frames import Array, Pinhole, look_at, pose
+from cell.limits import QD_MAX, tcp_positions
 from cell.motion.planner import Planner
 
 SEEN_WITHIN = np.radians(70.0)
 """A patch counts as seen when its normal is within this angle of the direction to the camera."""
 _RADIUS = 0.035
 _IMAGE_MARGIN = 60.0
-_DISTANCE = (0.40, 0.75)
+_DISTANCE = (0.40, 0.66)
 _TILTS = np.radians([70.0, 62.0, 54.0, 46.0])
 """Angles between the tool's axis and the direction to the camera; the first in reach is used."""
 _FINGER_BOXES = (
@@ -62,9 +63,9 @@ class InspectionViews:
         self._visible = normals[np.abs(normals[:, 0]) < np.cos(_PAD_HALF_ANGLE)]
         belt = config.belt
         middle = np.array([np.mean(belt.pick_x), np.mean(belt.pick_y), belt.top_z + 0.15])
-        self._q_start = self._planner.kinematics.ik_near(
-            self._planner.grasp_pose(middle, 0.0), np.array(config.arm.home)
-        )
+        self._speed, self._length = config.motion.collaborative_speed, config.gripper.length
+        self._q_home = np.array(config.arm.home)
+        self._q_start = self._planner.kinematics.ik_near(self._planner.grasp_pose(middle, 0.0), self._q_home)
         views = self._search(config)
         self.views: tuple[View, ...] = tuple(views)
         before = self._seen_on_belt(middle)
@@ -72,7 +73,7 @@ class InspectionViews:
         self.coverage = float(np.mean(np.where(seen, 1.0, before)))
 
     def _search(self, config: CellConfig) -> list[View]:
-        """The least motion among the families of the best tilt that the arm can reach."""
+        """The quickest among the families of the best tilt that the arm can reach."""
         p_WC = self._X_WC[:3, 3]
         places = []
         for p_WT in _places(config):
@@ -85,7 +86,7 @@ class InspectionViews:
                 for axis in _axes(c, tilt):
                     views = self._family(p_WT, axis, c)
                     if views is not None:
-                        found.append((self._travel(views), views))
+                        found.append((self._time(views), views))
             if found:
                 return min(found, key=lambda item: item[0])[1]
         raise ConfigError(
@@ -93,10 +94,17 @@ class InspectionViews:
             "move cameras.belt.position nearer to the arm"
         )
 
-    def _travel(self, views: list[View]) -> float:
-        """Joint travel of the slowest joint, from a typical grasp through all views [rad]."""
-        q = [self._q_start, *(v.q for v in views)]
-        return sum(float(np.abs(b - a).max()) for a, b in pairwise(q))
+    def _time(self, views: list[View]) -> float:
+        """Rough time from a typical grasp through all views and on to belt or bin [s]."""
+        v = [view.q for view in views]
+        there = self._leg(self._q_start, v[0]) + sum(self._leg(a, b) for a, b in pairwise(v))
+        return there + 0.5 * (self._leg(v[-1], self._q_start) + self._leg(v[-1], self._q_home))
+
+    def _leg(self, a: Array, b: Array) -> float:
+        """Rough time of a joint-space motion: limited by the tool's speed or by the joints [s]."""
+        p = tcp_positions(a + np.linspace(0, 1, 8)[:, None] * (b - a), self._length)
+        tool = float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum()) / self._speed
+        return max(tool, float((np.abs(b - a) / QD_MAX).max())) + 0.3
 
     def _seen_on_belt(self, p_WO: Array) -> Array:
         """Probability that each patch was seen when the onion lay on the belt, over all yaws."""

@@ -17,6 +17,8 @@ _ARRIVED = 0.0004
 _STALLED_SPEED = 0.002
 _STALLED_TIME = 0.05
 """Slower than this [m/s] for this long [s] before the target means: holding something."""
+_LOST_CLOSING = 0.004
+"""Fingers that close this much further [m] have lost what they held."""
 
 
 class SimGripper:
@@ -28,6 +30,7 @@ class SimGripper:
         self.target = config.stroke
         self._speed, self._force = config.max_speed, config.min_force
         self._stalled = 0.0
+        self._held_width: float | None = None
         for finger in self._fingers:
             bullet.resetJointState(body, finger, config.stroke / 2, 0.0, physicsClientId=client)
             bullet.changeDynamics(
@@ -46,7 +49,7 @@ class SimGripper:
         self.target = float(np.clip(width, 0.0, c.stroke))
         self._speed = float(np.clip(speed, c.min_speed, c.max_speed))
         self._force = float(np.clip(force, c.min_force, c.max_force))
-        self._stalled = 0.0
+        self._stalled, self._held_width = 0.0, None
         return self.target, self._speed, self._force
 
     def measure(self) -> tuple[float, float]:
@@ -56,8 +59,8 @@ class SimGripper:
 
     @property
     def holding(self) -> bool:
-        """Stopped on an object before the target width, closing."""
-        return self._stalled >= _STALLED_TIME
+        """Stopped on an object before the target width; until the fingers close further."""
+        return self._held_width is not None
 
     def drive(self, period: float) -> bool:
         """Set the motors for the coming control period [s]; True while the fingers move."""
@@ -66,6 +69,10 @@ class SimGripper:
         arrived = abs(error) <= _ARRIVED
         stalled = error < -_ARRIVED and abs(rate) < _STALLED_SPEED
         self._stalled = self._stalled + period if stalled else 0.0
+        if self._held_width is None and self._stalled >= _STALLED_TIME:
+            self._held_width = width
+        elif self._held_width is not None and width < self._held_width - _LOST_CLOSING:
+            self._stalled, self._held_width = 0.0, None
         # Half the speed and the whole force per finger: they share the object, not the force.
         velocity = 0.0 if arrived else float(np.clip(error / period, -self._speed, self._speed)) / 2
         for finger in self._fingers:

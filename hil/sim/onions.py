@@ -23,7 +23,7 @@ TEXTURE_SHAPE = (128, 256)
 _DENSITY = 950.0
 """Of onion flesh [kg/m^3]."""
 _AROUND, _DOWN = 40, 26
-_SKINS = ((0.45, (205, 135, 60)), (0.30, (190, 110, 45)), (0.15, (130, 40, 60)), (0.10, (225, 200, 150)))
+_SKINS = ((0.45, (198, 146, 82)), (0.30, (168, 112, 62)), (0.15, (126, 48, 66)), (0.10, (222, 206, 168)))
 """(share, RGB) of yellow, brown, red and white onions."""
 _BLEMISHES = ((52, 34, 22), (28, 30, 26), (84, 80, 62))
 """RGB of rot, black mould and grey mould."""
