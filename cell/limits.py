@@ -188,14 +188,17 @@ def check_trajectory(trajectory: Trajectory, limits: Limits) -> None:
     n = len(times)
     if not 2 <= n <= MAX_POINTS or times.shape != (n,) or q.shape != (n, 6) or qd.shape != (n, 6):
         raise _refused(
-            RefusalCode.SHAPE, f"needs 2..{MAX_POINTS} points of 6 joints, got {times.shape}, {q.shape}, {qd.shape}"
+            RefusalCode.SHAPE,
+            f"needs 2..{MAX_POINTS} points of 6 joints, got {times.shape}, {q.shape}, {qd.shape}",
         )
     if not (np.isfinite(times).all() and np.isfinite(q).all() and np.isfinite(qd).all()):
         raise _refused(RefusalCode.NOT_FINITE, "times, positions and velocities must be finite numbers")
     if times[0] != 0.0 or (np.diff(times) <= 0).any():
         raise _refused(RefusalCode.SHAPE, "times must start at 0 and rise strictly")
     if times[-1] > MAX_DURATION:
-        raise _refused(RefusalCode.RANGE, f"lasts {times[-1]:.1f} s; at most {MAX_DURATION:.0f} s are accepted")
+        raise _refused(
+            RefusalCode.RANGE, f"lasts {times[-1]:.1f} s; at most {MAX_DURATION:.0f} s are accepted"
+        )
     if np.abs(qd[-1]).max() > 1e-6:
         raise _refused(RefusalCode.NOT_AT_REST, "the last point must be at rest")
     short = _SHORT * limits.control_period

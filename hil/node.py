@@ -8,11 +8,8 @@ expiry of commands, the check of limits, and the stop when the supervisor falls 
 from __future__ import annotations
 
 import math
-import queue
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeout
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +17,7 @@ import numpy as np
 
 from cell.clock import WallClock
 from cell.config import CellConfig
-from cell.errors import BackendError, CellError, RefusedError
+from cell.errors import BackendError, RefusedError
 from cell.limits import Limits, RefusalCode
 from cell.wire.session import Session
 from cell.wire.types import (
@@ -44,10 +41,9 @@ from cell.wire.types import (
 )
 from hil.backend import Backend
 from hil.executor import Executor
+from hil.inbox import Inbox
 from hil.lease import Lease
 
-_ANSWER_TIME = 30.0
-"""Longest time a command may wait for the loop [s]."""
 _MAX_STEP = 1000
 _STATUS_TICKS = 5
 """Control periods between two publications of slow states."""
@@ -55,7 +51,7 @@ _MAX_CATCH_UP = 25
 """Simulated periods done in one go after a late cycle; what is later still is given up."""
 _END_TIME = 3.0
 """Longest braking when the node is told to end [s]."""
-_INFO, _WARN, _ERROR = 20, 30, 40
+_WARN = 30
 
 
 class Node:
@@ -70,7 +66,7 @@ class Node:
         self._lock_step = lock_step
         self._limits = Limits.from_config(config)
         self._lease = Lease(config.supervisor.heartbeat_deadline)
-        self._inbox: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None] = queue.SimpleQueue()
+        self._inbox = Inbox(self._note_refusal)
         self._ended = threading.Event()
         self._clock = WallClock()
         self._refusal = ""
@@ -83,7 +79,7 @@ class Node:
     def end(self) -> None:
         """Ask the loop to stop the arm on its path and return; callable from any thread."""
         self._ended.set()
-        self._inbox.put(None)
+        self._inbox.wake()
 
     def run(self) -> None:
         """Serve until `end`. Raises whatever the backend raises, after stopping the arm."""
@@ -99,7 +95,7 @@ class Node:
 
     def _run_lock_step(self) -> None:
         while not self._ended.is_set():
-            self._work(self._inbox.get())
+            self._inbox.work()
 
     def _run_real_time(self) -> None:
         """Keep the backend's time level with wall time; a late cycle is caught up, in bounds."""
@@ -108,7 +104,7 @@ class Node:
         done = 0
         while not self._ended.is_set():
             self._clock.sleep_until(start + (done + 1) * period)
-            self._drain()
+            self._inbox.drain()
             due = int((self._clock.now() - start) / period) - done
             if due > _MAX_CATCH_UP:
                 self._say(_WARN, f"the loop was {due * period * 1e3:.0f} ms late")
@@ -157,25 +153,7 @@ class Node:
             deadline = self._config.supervisor.heartbeat_deadline
             self._stop(f"no heartbeat of '{silent}' for {deadline * 1e3:.0f} ms")
 
-    # -- inbox --------------------------------------------------------------------------------------
-
-    def _drain(self) -> None:
-        while True:
-            try:
-                item = self._inbox.get_nowait()
-            except queue.Empty:
-                return
-            self._work(item)
-
-    @staticmethod
-    def _work(item: tuple[Callable[[], Any], Future[Any]] | None) -> None:
-        if item is None:
-            return
-        job, future = item
-        try:
-            future.set_result(job())
-        except Exception as error:
-            future.set_exception(error)
+    # -- wire --------------------------------------------------------------------------------------
 
     def _serve(self) -> None:
         keys = self._session.keys
@@ -196,27 +174,7 @@ class Node:
                     (keys.sim_reset, ResetRequest, self._on_reset),
                 ]
         for key, kind, handler in handlers:
-            self._session.serve(key, kind, self._through_inbox(handler))
-
-    def _through_inbox(self, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        """The handler as the wire's threads call it: do it on the loop's thread, wait, answer."""
-
-        def ask(request: Any) -> Any:
-            future: Future[Any] = Future()
-            self._inbox.put((lambda: handler(request), future))
-            try:
-                return future.result(_ANSWER_TIME)
-            except FutureTimeout:
-                return Reply(False, "busy", "the node's loop did not answer in time")
-            except RefusedError as error:
-                self._note_refusal(error)
-                return Reply(False, error.code, error.reason)
-            except CellError as error:
-                refused = RefusedError(RefusalCode.BACKEND.value, str(error))
-                self._note_refusal(refused)
-                return Reply(False, refused.code, refused.reason)
-
-        return ask
+            self._session.serve(key, kind, self._inbox.wrap(handler))
 
     # -- commands (all on the loop's thread) -----------------------------------------------------------
 

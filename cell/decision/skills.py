@@ -60,6 +60,9 @@ class Skills:
 
     def detect(self) -> Skill[Ended]:
         """Look at the belt with the arm out of the way and choose the next onion."""
+        if self.body.holds():
+            # An earlier action failed with an onion in the hand: put it back before going on.
+            yield from self.place_on_conveyor(sorted_out=False)
         self.target = None
         yield from self._go_home()
         for _ in range(self._config.supervisor.look_attempts):
@@ -150,8 +153,8 @@ class Skills:
             return Ended("done", reason, Prediction.UNBLEMISHED)
         return Ended("done", "no blemish seen", Prediction.UNBLEMISHED)
 
-    def place_on_conveyor(self) -> Skill[Ended]:
-        """Put the held onion back where it lay."""
+    def place_on_conveyor(self, sorted_out: bool = True) -> Skill[Ended]:
+        """Put the held onion back where it lay; it counts as sorted if `sorted_out`."""
         X_WT = self._X_WT_grasp
         if X_WT is None:
             return Ended("no_onion", "nothing in the hand")
@@ -166,7 +169,7 @@ class Skills:
         yield from self.body.settle()
         yield from self.body.grip(self._config.gripper.stroke)
         yield from self._to_pose(above, straight=True)
-        if self.target is not None:
+        if self.target is not None and sorted_out:
             self.tracker.placed(self.target.track.id, low[:3, 3])
         self.target, self._X_WT_grasp = None, None
         return Ended("done")

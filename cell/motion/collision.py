@@ -108,7 +108,9 @@ class CollisionModel:
         worst = int(np.argmin(least))
         return float(least[worst]), pairs[worst]
 
-    def hides(self, q: Array, p_WC: Array, p_WP: Array, *, radius: float, tool: bool = True) -> NDArray[np.bool_]:
+    def hides(
+        self, q: Array, p_WC: Array, p_WP: Array, *, radius: float, tool: bool = True
+    ) -> NDArray[np.bool_]:
         """Which points the arm hides from a camera, shape (N, M).
 
         Args:
@@ -234,4 +236,8 @@ def _boxes(config: CellConfig) -> tuple[list[str], Array, Array]:
         ("pedestal", (-_PEDESTAL, -_PEDESTAL, -1.0), (_PEDESTAL, _PEDESTAL, -0.002)),
         ("floor", (-5.0, -5.0, -2.0), (5.0, 5.0, _FLOOR_Z)),
     ]
-    return [n for n, _, _ in boxes], np.array([lo for _, lo, _ in boxes]), np.array([hi for _, _, hi in boxes])
+    return (
+        [n for n, _, _ in boxes],
+        np.array([lo for _, lo, _ in boxes]),
+        np.array([hi for _, _, hi in boxes]),
+    )

@@ -8,7 +8,7 @@ from ur_analytic_ik import ur3e
 from cell.config import CellConfig
 from cell.errors import PlanError
 from cell.frames import Array, inverse, pose
-from cell.limits import Q_MAX, fk_flange
+from cell.limits import DH_A, Q_MAX, fk_flange, link_frames, tcp_jacobian
 
 X_BW = np.diag([-1.0, -1.0, 1.0, 1.0])
 """The world in the controller's base frame: a half turn about z (its own inverse)."""
@@ -16,26 +16,37 @@ X_BW = np.diag([-1.0, -1.0, 1.0, 1.0])
 _MARGIN = 0.10
 """Kept from the joint limits [rad]."""
 _WEIGHTS = np.array([2.0, 2.0, 1.5, 1.0, 1.0, 0.5])
-"""How much a radian of each joint counts when branches are compared."""
+"""How much a radian of each joint counts when branches are compared: big joints swing more arm."""
 
 
 class Kinematics:
-    """Forward and inverse kinematics from joints q (6,) [rad] to the TCP pose X_WT."""
+    """Forward and inverse kinematics between joints q (6,) [rad] and the TCP pose X_WT (4, 4).
+
+    IK solutions come in families: shoulder to the left or right of the tool, elbow up or down,
+    wrist turned one way or the other. The family of `arm.home` is preferred everywhere, so that
+    the arm does not turn itself over between two neighbouring poses.
+    """
 
     def __init__(self, config: CellConfig) -> None:
-        self._X_ET = pose(p=(0.0, 0.0, config.gripper.length))
+        self._length = config.gripper.length
+        self._X_ET = pose(p=(0.0, 0.0, self._length))
         self._X_TE = inverse(self._X_ET)
-        self._home = np.array(config.arm.home)
+        self._home_family = family(np.array(config.arm.home))
 
     def X_WT(self, q: Array) -> Array:
         """Pose of the TCP, shape (4, 4)."""
         return fk_flange(q) @ self._X_ET
 
+    def jacobian(self, q: Array) -> Array:
+        """Geometric Jacobian (6, 6) at the TCP: rows 0-2 [m/rad], rows 3-5 [rad/rad], in W."""
+        axes = np.vstack([[0.0, 0.0, 1.0], link_frames(q)[0, :5, :3, 2]])
+        return np.vstack([tcp_jacobian(q, self._length)[0], axes.T])
+
     def ik(self, X_WT: Array, q_near: Array) -> list[Array]:
         """Every solution within the limits, each joint turned as near to `q_near` as they allow.
 
-        Solutions in the arm's working family (elbow and wrist bent as at home) come first, then
-        those that need the least travel from `q_near`.
+        Solutions of the home family come first, then those that need the least weighted travel
+        from `q_near`. Empty when the pose is out of reach.
         """
         X_BE = np.ascontiguousarray(X_BW @ X_WT @ self._X_TE)
         found = []
@@ -43,28 +54,38 @@ class Kinematics:
             q = _unwrap(np.asarray(raw, dtype=float), q_near)
             if q is not None:
                 found.append(q)
-        return sorted(found, key=lambda q: (not self._working(q), float(_WEIGHTS @ np.abs(q - q_near))))
+        return sorted(found, key=lambda q: (not self.at_home_in(q), float(_WEIGHTS @ np.abs(q - q_near))))
 
     def ik_near(self, X_WT: Array, q_near: Array) -> Array:
-        """The best solution; raises `PlanError` naming the pose when there is none."""
+        """The best solution of `ik`.
+
+        Raises:
+            PlanError: naming the pose, when it is out of reach.
+        """
         found = self.ik(X_WT, q_near)
         if not found:
             x, y, z = X_WT[:3, 3]
             raise PlanError(f"the tool pose at ({x:.3f}, {y:.3f}, {z:.3f}) m is out of the UR3e's reach")
         return found[0]
 
-    def _working(self, q: Array) -> bool:
-        return bool(np.sign(q[2]) == np.sign(self._home[2]) and np.sin(q[4]) * np.sin(self._home[4]) > 0)
+    def at_home_in(self, q: Array) -> bool:
+        """Whether q is of the same family as `arm.home`."""
+        return family(q) == self._home_family
+
+
+def family(q: Array) -> tuple[bool, bool, bool]:
+    """Which of the eight IK families q (6,) [rad] belongs to: shoulder, elbow, wrist."""
+    # Horizontal distance of the wrist before the shoulder's axis, along the plane of the arm.
+    ahead = DH_A[1] * np.cos(q[1]) + DH_A[2] * np.cos(q[1] + q[2])
+    return bool(ahead > 0), bool(np.sin(q[2]) > 0), bool(np.sin(q[4]) > 0)
 
 
 def _unwrap(q: Array, q_near: Array) -> Array | None:
     """Add whole turns so that q is nearest to q_near inside the limits; None if impossible."""
-    out = np.empty(6)
-    limit = Q_MAX - _MARGIN
-    for i in range(6):
-        options = q[i] + 2 * np.pi * np.arange(-2, 3)
-        options = options[np.abs(options) <= limit[i]]
-        if not len(options):
-            return None
-        out[i] = options[np.argmin(np.abs(options - q_near[i]))]
+    options = q + 2 * np.pi * np.arange(-2, 3)[:, None]
+    travel = np.where(np.abs(options) <= Q_MAX - _MARGIN, np.abs(options - q_near), np.inf)
+    best = travel.argmin(axis=0)
+    if not np.isfinite(travel[best, np.arange(6)]).all():
+        return None
+    out: Array = options[best, np.arange(6)]
     return out

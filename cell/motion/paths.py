@@ -16,6 +16,10 @@ class JointPath:
     Two waypoints give a straight line in joint space; more give a natural cubic spline whose
     parameter is the accumulated joint distance, which keeps it from overshooting.
 
+    Args:
+        waypoints: at least two sets of joint angles, shape (M, 6) [rad]; repeated ones are
+            dropped. Raises ValueError for other shapes.
+
     Attributes:
         length: end of the parameter, the joint-space length [rad] (at least 1e-6).
     """
@@ -24,12 +28,13 @@ class JointPath:
         q = np.asarray(waypoints, dtype=float)
         if q.ndim != 2 or q.shape[1] != 6 or len(q) < 2:
             raise ValueError(f"a path needs at least two waypoints of 6 joints, got shape {q.shape}")
-        keep = np.concatenate([[True], np.linalg.norm(np.diff(q, axis=0), axis=1) > 1e-9])
-        keep[-1] = True
-        if keep.sum() > 2 and np.linalg.norm(q[-1] - q[keep][-2]) <= 1e-9:
-            keep[np.flatnonzero(keep)[-2]] = False
-        q = q[keep]
-        s = np.concatenate([[0.0], np.cumsum(np.maximum(np.linalg.norm(np.diff(q, axis=0), axis=1), 1e-6))])
+        kept = [0]
+        for i in range(1, len(q) - 1):
+            if np.linalg.norm(q[i] - q[kept[-1]]) > 1e-6 and np.linalg.norm(q[i] - q[-1]) > 1e-6:
+                kept.append(i)
+        q = q[[*kept, len(q) - 1]]
+        steps = np.maximum(np.linalg.norm(np.diff(q, axis=0), axis=1), 1e-6)
+        s = np.concatenate([[0.0], np.cumsum(steps)])
         self.length = float(s[-1])
         self._spline = CubicSpline(s, q, bc_type="natural")
 

@@ -12,6 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from cell.clock import WallClock
 from cell.config import CellConfig
 from cell.decision.io import Inputs, Outputs
 from cell.limits import tcp_positions
@@ -43,6 +44,16 @@ class Meter:
             self._decisions.update(codec.encode(command.order))
         if not self._modes or self._modes[-1][1] != outputs.state.mode:
             self._modes.append((inputs.t, outputs.state.mode))
+
+    def wait_for(self, t: float) -> None:
+        """Wait until the tap has delivered the joint state of time `t` [s]; gives up after 2 s."""
+        clock = WallClock()
+        end = clock.now() + 2.0
+        while clock.now() < end:
+            with self._lock:
+                if self._samples and self._samples[-1].t >= t - 1e-9:
+                    return
+            clock.sleep_until(clock.now() + 0.005)
 
     def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Executed t (N,) [s], q (N, 6) [rad], qd (N, 6) [rad/s]."""

@@ -30,6 +30,7 @@ from cell.wire.types import Truth, TruthRequest
 from cell.wire.vocabulary import Mode
 
 HOLDER = "supervisor"
+_SETTLE_CYCLES = 25
 Watcher = Callable[[Inputs, Outputs], None]
 """Called after every tick; must be quick and must not raise."""
 
@@ -117,7 +118,9 @@ def _drive(
     duration = inputs.t - start
     factor = duration / max(perf_s() - began, 1e-9)
     if options.lock_step:
-        _settle(link)
+        for _ in range(_SETTLE_CYCLES):  # the last onion comes to rest before the round is judged
+            inputs = link.exchange(())
+    meter.wait_for(inputs.t)
     truth = session.call(session.keys.sim_truth, TruthRequest(HOLDER), Truth)
     misplaced, dropped, misses = judge(truth)
     return RoundResult(
@@ -146,12 +149,6 @@ def _drive(
         sha256=meter.digests(),
         misses=misses,
     )
-
-
-def _settle(link: Link) -> None:
-    """Let the last onion come to rest before the round is judged."""
-    for _ in range(25):
-        link.exchange(())
 
 
 def _publish(session: Session, outputs: Outputs) -> None:
