@@ -1,39 +1,45 @@
 """Collision-checked motions between the few kinds of poses that sorting needs.
 
-A transfer is tried as a straight line in joint space; where that would touch something, via
-poses are tried in a fixed order (higher, nearer to the base, along the way), so that the same
-request always gives the same motion.
+A transfer takes the quickest of the direct routes (straight for the joints, straight for the
+tool, round the base) that keep clear of everything, else the first detour that does. All is
+tried in a fixed order, so the same request always gives the same motion.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 
 import numpy as np
 
 from cell.config import CellConfig
 from cell.errors import PlanError
 from cell.frames import Array, pose, rot_x, rot_z
+from cell.limits import Q_MAX
 from cell.motion.collision import CollisionModel
 from cell.motion.kinematics import Kinematics
 from cell.motion.paths import JointPath
+from cell.motion.routes import Routes
 from cell.motion.timing import TimedPath, time_path
 
 _CHECK_STEP = 0.06
 """Joint distance between collision checks along a path [rad]."""
-_LINE_STEP = 0.012
-"""Distance between IK solutions along a straight line of the tool [m]."""
-_LINE_JUMP = 0.35
-"""Joint step along a straight line that means a change of branch [rad]."""
+_JOINT_MARGIN = 0.03
+"""Paths stay this far from the joint limits [rad]."""
+_BRANCHES = 3
+"""How many IK solutions of a goal are tried."""
+_DEEPEST = -0.01
+"""A motion may leave from this close to a part, by the model's generous shapes [m]."""
+_DROP_YAWS = np.linspace(-np.pi / 2, np.pi / 2, 12, endpoint=False)
 
 
 class Planner:
-    """Plans for one cell. All joint angles are (6,) [rad]; poses X_WT are the TCP in the world."""
+    """Plans for one cell. All joint angles are (6,) [rad]; poses X_WT (4, 4) are the TCP in the world."""
 
     def __init__(self, config: CellConfig) -> None:
         self.config = config
         self.kinematics = Kinematics(config)
         self.collision = CollisionModel(config)
+        self._routes = Routes(config, self.kinematics)
 
     # -- poses ----------------------------------------------------------------------------------
 
@@ -41,19 +47,39 @@ class Planner:
         """Tool straight down at `p_WO` (3,) [m], fingers closing along `yaw` [rad] about world z."""
         return pose(rot_z(yaw) @ rot_x(np.pi), p_WO)
 
+    def hover(self, X_WT: Array) -> Array:
+        """The pose `motion.hover` above a grasp."""
+        above = X_WT.copy()
+        above[2, 3] += self.config.motion.hover
+        return above
+
+    def nearer_turn(self, X_WT: Array, q_near: Array) -> Array:
+        """X_WT or the same grasp with the two fingers exchanged, whichever turns the wrist less."""
+        turned = X_WT.copy()
+        turned[:3, :2] *= -1.0
+        options = [(self.kinematics.ik(X, q_near), X) for X in (X_WT, turned)]
+        reached = [
+            (float(np.abs(found[0] - q_near).max()), k) for k, (found, _) in enumerate(options) if found
+        ]
+        return options[min(reached)[1]][1] if reached else X_WT
+
     def drop_pose(self, q_near: Array) -> Array:
-        """Tool straight down above the bin, with the yaw that turns the wrist least."""
+        """Tool straight down above the bin, with the yaw that moves the arm least.
+
+        Raises:
+            PlanError: the bin is out of reach.
+        """
         (x, y, z), height = self.config.bin.center, self.config.bin.drop_height
-        found: list[tuple[float, Array]] = []
-        for yaw in np.linspace(-np.pi / 2, np.pi / 2, 13)[:-1]:
-            X_WT = self.grasp_pose(np.array([x, y, z + height]), float(yaw))
+        found: list[tuple[bool, float, int]] = []
+        poses = [self.grasp_pose(np.array([x, y, z + height]), float(yaw)) for yaw in _DROP_YAWS]
+        for k, X_WT in enumerate(poses):
             for q in self.kinematics.ik(X_WT, q_near)[:2]:
-                found.append((float(np.abs(q - q_near).max()), X_WT))
+                found.append((not self.kinematics.at_home_in(q), float(np.abs(q - q_near).max()), k))
         if not found:
             raise PlanError(
                 f"bin.center: the drop pose at ({x:.3f}, {y:.3f}, {z + height:.3f}) m is out of reach"
             )
-        return min(found, key=lambda item: item[0])[1]
+        return poses[min(found)[2]]
 
     def reachable(self, X_WT: Array, hover: float) -> bool:
         """A grasp at X_WT and the pose `hover` [m] above it have solutions free of collisions."""
@@ -65,7 +91,7 @@ class Planner:
             q = self.kinematics.ik_near(X_WT, q_above)
         except PlanError:
             return False
-        return bool((self.collision.clearance(np.stack([q, q_above])) >= 0.0).all())
+        return bool((self.collision.clearance(np.stack([q, q_above]), touching=True) >= 0.0).all())
 
     # -- motions --------------------------------------------------------------------------------
 
@@ -78,13 +104,17 @@ class Planner:
             speed_cap: TCP speed cap [m/s]. held_radius: of an onion in the hand [m].
 
         Raises:
-            PlanError: every way that was tried touches something.
+            PlanError: every way that was tried touches something; the message says what.
         """
-        for vias in self._ways(q_from, q_to):
-            path = JointPath([q_from, *vias, q_to])
-            if self._free(path, held_radius):
-                return time_path(path, speed_cap, self.config)
-        raise PlanError("no way found between two arm poses that keeps clear of the cell")
+        touched: list[str] = []
+        direct = self._timed(self._routes.direct(q_from, q_to), speed_cap, held_radius, touched)
+        if direct:
+            return min(direct, key=lambda timed: timed.duration)
+        for route in self._routes.detours(q_from, q_to):
+            if found := self._timed([route], speed_cap, held_radius, touched):
+                return found[0]
+        what = ", ".join(dict.fromkeys(touched))
+        raise PlanError(f"no way found between two arm poses that keeps clear of the cell ({what})")
 
     def plan_to_pose(
         self,
@@ -95,70 +125,54 @@ class Planner:
         straight: bool = False,
         held_radius: float = 0.0,
     ) -> TimedPath:
-        """Motion to a TCP pose, along a straight line of the tool if `straight`.
+        """Motion from rest at `q_from` to rest at a TCP pose, the tool on a straight line if `straight`.
 
-        Straight motions approach or leave the belt; only their reach is checked, since touching
-        distance is their purpose. Raises `PlanError` as `plan_joints` does, or when the pose is
-        out of reach.
+        Straight motions approach or leave the belt: fingertips and a held onion may come near it.
+
+        Args:
+            speed_cap: TCP speed cap [m/s]. held_radius: of an onion in the hand [m].
+
+        Raises:
+            PlanError: the pose is out of reach, or every way to it touches something.
         """
         if straight:
-            return time_path(self._line(q_from, X_WT), speed_cap, self.config)
-        last: PlanError | None = None
-        for q_to in self.kinematics.ik(X_WT, q_from)[:3]:
+            path = JointPath(self._routes.line(q_from, X_WT))
+            if problem := self._problem(path, held_radius, touching=True):
+                raise PlanError(f"a straight tool motion would touch: {problem}")
+            return time_path(path, speed_cap, self.config)
+        self.kinematics.ik_near(X_WT, q_from)  # raises, naming a pose out of reach
+        reasons: list[str] = []
+        for q_to in self.kinematics.ik(X_WT, q_from)[:_BRANCHES]:
             try:
                 return self.plan_joints(q_from, q_to, speed_cap, held_radius=held_radius)
             except PlanError as error:
-                last = error
-        if last is not None:
-            raise last
-        self.kinematics.ik_near(X_WT, q_from)  # raises, naming the pose
-        raise PlanError("unreachable")
+                reasons.append(str(error))
+        raise PlanError(reasons[0])
 
     # -- internals ------------------------------------------------------------------------------
 
-    def _ways(self, q_from: Array, q_to: Array) -> Iterator[list[Array]]:
-        """Lists of via configurations, the cheapest first."""
-        yield []
-        p_from, p_to = (self.kinematics.X_WT(q)[:3, 3] for q in (q_from, q_to))
-        middle = 0.5 * (q_from + q_to)
-        X_WT = self.kinematics.X_WT(middle)
-        for lift in (0.04, 0.08, 0.14):
-            for pull in (1.0, 0.85, 0.7):
-                raised = X_WT.copy()
-                raised[:2, 3] *= pull
-                raised[2, 3] = max(p_from[2], p_to[2], raised[2, 3]) + lift
-                found = self.kinematics.ik(raised, middle)
-                if found and np.abs(found[0] - middle).max() < 1.5:
-                    yield [found[0]]
-        tucked = np.array(self.config.arm.home)
-        tucked[0] = middle[0]
-        yield [tucked]
-        yield [np.array([q_from[0], *tucked[1:]]), np.array([q_to[0], *tucked[1:]])]
-        yield [np.array(self.config.arm.home)]
+    def _timed(
+        self, routes: Iterable[list[Array]], speed_cap: float, held_radius: float, touched: list[str]
+    ) -> list[TimedPath]:
+        """Timings of the routes that are free; what the others touch is added to `touched`."""
+        out = []
+        for route in routes:
+            path = JointPath(route)
+            if problem := self._problem(path, held_radius):
+                touched.append(problem)
+            else:
+                out.append(time_path(path, speed_cap, self.config))
+        return out
 
-    def _free(self, path: JointPath, held_radius: float) -> bool:
+    def _problem(self, path: JointPath, held_radius: float, *, touching: bool = False) -> str:
+        """What a path touches; empty when it is free."""
         q = path.samples(_CHECK_STEP)
-        clearance = self.collision.clearance(q, held_radius=held_radius)
-        # A motion that starts or ends close (above the belt, over the bin) may be that close
-        # near its ends, but never closer.
-        least = min(self.config.motion.clearance, float(clearance[0]), float(clearance[-1]))
-        return bool((clearance >= least - 1e-6).all() and clearance.min() >= 0.0)
-
-    def _line(self, q_from: Array, X_WT: Array) -> JointPath:
-        """Joint path along which the tool moves straight to X_WT, keeping or turning evenly."""
-        X_from = self.kinematics.X_WT(q_from)
-        distance = float(np.linalg.norm(X_WT[:3, 3] - X_from[:3, 3]))
-        count = max(2, int(np.ceil(distance / _LINE_STEP)))
-        waypoints = [q_from]
-        for w in np.linspace(0, 1, count + 1)[1:]:
-            X = X_WT.copy()
-            X[:3, 3] = (1 - w) * X_from[:3, 3] + w * X_WT[:3, 3]
-            near = waypoints[-1]
-            options = self.kinematics.ik(X, near)
-            if not options:
-                self.kinematics.ik_near(X, near)  # raises, naming the pose
-            q = min(options, key=lambda o: float(np.abs(o - near).max()))
-            if np.abs(q - near).max() > _LINE_JUMP:
-                raise PlanError("a straight tool motion would have to turn the arm over")
-            waypoints.append(q)
-        return JointPath(waypoints)
+        if (np.abs(q) > Q_MAX - _JOINT_MARGIN).any():
+            return "a joint limit"
+        clear = self.collision.clearance(q, held_radius=held_radius, touching=touching)
+        # A motion that starts or ends close to something may be that close on the way, not closer.
+        least = min(self.config.motion.clearance, float(clear[0]), float(clear[-1]))
+        if clear[-1] >= 0.0 and least >= _DEEPEST and (clear >= least - 1e-4).all():
+            return ""
+        worst = q[int(np.argmin(clear))]
+        return self.collision.nearest(worst, held_radius=held_radius, touching=touching)[1]

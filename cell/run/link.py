@@ -8,12 +8,13 @@ beats its heart and refuses stale readings.
 from __future__ import annotations
 
 import threading
+from collections import deque
 from typing import Protocol
 
 from cell.clock import Clock, WallClock
 from cell.config import CellConfig
 from cell.decision.io import Command, Inputs
-from cell.errors import WireError
+from cell.errors import StaleError, WireError
 from cell.wire.session import Session
 from cell.wire.types import (
     ArmStatus,
@@ -34,6 +35,8 @@ from cell.wire.types import (
 
 _STEP_TIMEOUT = 60.0
 """Longest wall time one lock-step step may take [s]."""
+_PATIENCE = 10
+"""Stale joint states are waited out for this many times their greatest age."""
 _FIRST_DATA = 20.0
 """How long the first samples may take after connecting [s]."""
 
@@ -114,7 +117,8 @@ class LiveLink:
         self._belt = session.latest(keys.belt_state, BeltState)
         self._frames = {name: session.latest_frame(name) for name in config.cameras}
         self._heart = Heart(session, holder, config.supervisor.heartbeat_deadline)
-        self._offset: float | None = None
+        self._offsets: deque[tuple[float, float]] = deque()
+        self._seen: float | None = None
         self._next = self._clock.now()
         self._wait_for_data()
 
@@ -124,16 +128,16 @@ class LiveLink:
         self._next = max(self._next + self._period, self._clock.now() - self._period)
         self._clock.sleep_until(self._next)
         self._heart.loop_lives()
-        now, oldest = self._now(), self._config.supervisor.max_state_age
-        joints = self._joints.get(now, oldest)
+        joints = self._fresh_joints()
+        now, oldest = joints.t, self._config.supervisor.max_state_age
         frames: list[Frame] = []
         for reader in self._frames.values():
             frames += reader.take_all()
         return Inputs(
             t=joints.t,
             joints=joints,
-            arm=self._arm.get(now, oldest),
-            gripper=self._gripper.get(now, oldest),
+            arm=self._arm.get(now, 2 * oldest),
+            gripper=self._gripper.get(now, 2 * oldest),
             belt=self._belt.get(now, 1.0),
             frames=tuple(frames),
             replies=replies,
@@ -151,16 +155,32 @@ class LiveLink:
     def close(self) -> None:
         self._heart.close()
 
+    def _fresh_joints(self) -> JointState:
+        """The newest joint state; while it is stale nothing is decided, and in the end it raises."""
+        oldest = self._config.supervisor.max_state_age
+        deadline = self._clock.now() + _PATIENCE * oldest
+        while True:
+            try:
+                return self._joints.get(self._now(), oldest)
+            except StaleError:
+                if self._clock.now() > deadline:
+                    raise
+            self._clock.sleep_until(self._clock.now() + 0.004)
+
     def _now(self) -> float:
-        """Present time on the node's clock [s], from its newest sample and our own clock."""
+        """Present time on the node's clock [s]: ours, moved by the least delayed recent sample.
+
+        A simulation that could not keep up slips behind wall time, so only the samples of the
+        last second count; a node that has fallen silent adds none, and its age grows.
+        """
         wall = self._clock.now()
         newest = self._joints.peek()
-        if newest is not None:
-            offset = newest.t - wall
-            # The least delayed sample knows best; forget slowly in case the clocks drift.
-            held = offset if self._offset is None else self._offset - 1e-4
-            self._offset = max(offset, held)
-        return wall + (self._offset or 0.0)
+        if newest is not None and newest.t != self._seen:
+            self._seen = newest.t
+            self._offsets.append((wall, newest.t - wall))
+            while wall - self._offsets[0][0] > 1.0:
+                self._offsets.popleft()
+        return wall + max((offset for _, offset in self._offsets), default=0.0)
 
     def _wait_for_data(self) -> None:
         """Block until every reader has something; raises `StaleError` naming what is missing."""

@@ -15,7 +15,7 @@ import numpy as np
 from cell.clock import WallClock
 from cell.config import CellConfig
 from cell.decision.io import Inputs, Outputs
-from cell.limits import tcp_positions
+from cell.limits import QD_MAX, tcp_positions
 from cell.wire import codec
 from cell.wire.session import Session, Tapped
 from cell.wire.types import JointState
@@ -80,6 +80,17 @@ class Meter:
             of_mode = speed[modes[index] == mode]
             out[name] = float(of_mode.max()) if of_mode.size else 0.0
         return out
+
+    def joint_limits(self) -> dict[str, float]:
+        """Largest executed joint speed and acceleration as shares of their limits."""
+        t, _, qd = self.motion()
+        if len(t) < 3:
+            return {"speed_share": 0.0, "acceleration_share": 0.0}
+        qdd = np.diff(qd, axis=0) / np.diff(t)[:, None]
+        return {
+            "speed_share": float((np.abs(qd) / QD_MAX).max()),
+            "acceleration_share": float(np.abs(qdd).max() / self._config.arm.max_acceleration),
+        }
 
     def time_in(self, mode: Mode, end: float) -> float:
         """Time spent in a mode until `end` [s]."""

@@ -40,6 +40,7 @@ class RoundResult:
     failure: str = ""
     arm_contacts: int = 0
     joint_states_lost: int = 0
+    joint_limits: dict[str, float] = field(default_factory=dict)
     sha256: dict[str, str] = field(default_factory=dict)
     misses: tuple[str, ...] = ()
 

@@ -10,6 +10,8 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
+import numpy as np
+
 from cell.clock import perf_s
 from cell.config import CellConfig
 from cell.decision.io import Inputs, Outputs
@@ -77,6 +79,7 @@ def run_round(
         # While the node builds its world, this process plans its inspection views.
         planner = Planner(config)
         supervisor = Supervisor(config, policy, planner, InspectionViews(config), detector, HOLDER)
+        _warm_up(planner, detector, config)
         node.wait_ready()
         session = stack.enter_context(Session.connect(config))
         meter = Meter(session, config)
@@ -146,9 +149,18 @@ def _drive(
         failure=outputs.failure,
         arm_contacts=truth.arm_contacts,
         joint_states_lost=meter.lost,
+        joint_limits=meter.joint_limits(),
         sha256=meter.digests(),
         misses=misses,
     )
+
+
+def _warm_up(planner: Planner, detector: Detector, config: CellConfig) -> None:
+    """Do the first plan and the first detection now: their imports must not starve the heartbeat."""
+    home = np.array(config.arm.home)
+    planner.plan_joints(home, home + 0.01, config.motion.collaborative_speed)
+    camera = config.cameras["belt"]
+    detector.detect(np.zeros((camera.height, camera.width, 3), np.uint8))
 
 
 def _publish(session: Session, outputs: Outputs) -> None:

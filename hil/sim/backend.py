@@ -60,6 +60,8 @@ class SimBackend:
         self._world = World(self._config, seed, onions, reference_visuals=choice == "tiny")
         self._renderer = make_renderer(choice, self._world.client, self._world.scene)
         self._cameras = {name: Camera(name, camera, seed) for name, camera in self._config.cameras.items()}
+        for camera in self._cameras.values():  # the first image compiles shaders: not in the loop
+            self._renderer.render(camera.X_WC, camera.pinhole, camera.near, camera.far)
         self._batch = 1
         self._fingers_moving = False
         self._contacts, self._contact_ticks = [], 0
