@@ -206,7 +206,8 @@ def _body(gripper_length: float, width: float, held_radius: float) -> _Body:
     for c in capsules:
         a, b = np.array(c.a, float), np.array(c.b, float)
         if c.frame == 7:
-            a, b = a + (0, 0, gripper_length), b + (0, 0, gripper_length)
+            tool = np.array([0.0, 0.0, gripper_length])
+            a, b = a + tool, b + tool
         step = float(np.linalg.norm(b - a)) / max(c.count - 1, 1)
         for w in np.linspace(0.0, 1.0, c.count):
             centres.append((1 - w) * a + w * b)

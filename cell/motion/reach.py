@@ -15,18 +15,18 @@ from cell.errors import ConfigError
 from cell.frames import Array, pose, rot_x, rot_z
 from cell.motion.collision import CollisionModel
 from cell.motion.kinematics import Kinematics
+from cell.motion.views import InspectionViews
 
 _GRID = (4, 7)
 """Places checked across and along the pick window, edges and corners included."""
 _YAWS = (0.0, np.pi / 4, np.pi / 2, -np.pi / 4)
 _FINGERTIP_GAP = 0.017
 """The lowest grasp: fingertips reach 11 mm beyond the TCP and stay 6 mm off the belt [m]."""
-_TOUCH = 0.003
-"""Least clearance of a grasp, whose fingertips are meant to be near the belt [m]."""
+_ADVICE = "shrink the pick window (belt.pick_x, belt.pick_y) or move the belt"
 
 
 def check_reachable(config: CellConfig) -> None:
-    """Check home, every grasp and hover pose of the pick window, and the drop pose.
+    """Check home, the drop pose, every grasp and hover pose of the pick window, and the inspection views.
 
     Raises:
         ConfigError: names the configuration key and the first pose that cannot be had.
@@ -40,39 +40,34 @@ def check_reachable(config: CellConfig) -> None:
             f"arm.home: the arm would be {1000 * gap:.0f} mm from touching ({pair}); choose another home"
         )
     _check_drop(config, kinematics, model, home)
-    for key, X_WT, wanted in _window(config, least):
+    for key, X_WT in _window(config):
         solutions = kinematics.ik(X_WT, home)
         x, y, z = X_WT[:3, 3]
         if not solutions:
             raise ConfigError(
                 f"{key} at ({x:.3f}, {y:.3f}, {z:.3f}) m is out of reach of the UR3e; {_ADVICE}"
             )
-        clear = model.clearance(np.array(solutions))
-        if clear.max() < wanted:
-            _, pair = model.nearest(solutions[int(np.argmax(clear))])
+        clear = model.clearance(np.array(solutions), touching=True)
+        if clear.max() < least:
+            _, pair = model.nearest(solutions[int(np.argmax(clear))], touching=True)
             raise ConfigError(
                 f"{key} at ({x:.3f}, {y:.3f}, {z:.3f}) m is in reach only by touching something "
                 f"({pair}); {_ADVICE}"
             )
+    InspectionViews(config)  # raises when there are none
 
 
-_ADVICE = "shrink the pick window (belt.pick_x, belt.pick_y) or move the belt"
-
-
-def _window(config: CellConfig, least: float) -> Iterator[tuple[str, Array, float]]:
-    """Key, pose and least clearance of each grasp and hover."""
+def _window(config: CellConfig) -> Iterator[tuple[str, Array]]:
+    """Configuration key with the pose's name, and the pose, of each grasp and hover."""
     b, motion = config.belt, config.motion
     small, large = (d / 2 for d in config.onions.diameter)
-    heights = sorted({max(small, _FINGERTIP_GAP), large})
+    where = "belt.pick_x, belt.pick_y: the"
+    grasps = [(f"{where} grasp", h) for h in sorted({max(small, _FINGERTIP_GAP), large})]
     for x in np.linspace(*b.pick_x, _GRID[0]):
         for y in np.linspace(*b.pick_y, _GRID[1]):
             for yaw in _YAWS:
-                R_WT = rot_z(yaw) @ rot_x(np.pi)
-                for height in heights:
-                    z = b.top_z + height
-                    yield "belt.pick_x, belt.pick_y: the grasp", pose(R_WT, (x, y, z)), _TOUCH
-                z = b.top_z + large + motion.hover
-                yield "belt.pick_x, belt.pick_y: the hover pose", pose(R_WT, (x, y, z)), least
+                for key, height in [*grasps, (f"{where} hover pose", large + motion.hover)]:
+                    yield key, pose(rot_z(yaw) @ rot_x(np.pi), (x, y, b.top_z + height))
 
 
 def _check_drop(config: CellConfig, kinematics: Kinematics, model: CollisionModel, home: Array) -> None:

@@ -7,6 +7,7 @@ moves are quick under a tool speed cap; via poses lead round the furniture.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -19,6 +20,8 @@ _LINE_STEP = 0.012
 """Distance between IK solutions along a straight line [m]."""
 _SWEEP_STEP = 0.03
 """The same along an arc round the base [m]."""
+_TURN_STEP = 0.2
+"""Turn of the tool between IK solutions, at most [rad]."""
 _JUMP = 0.45
 """Joint step between neighbouring IK solutions that means another branch [rad]."""
 _LIFTS = (0.05, 0.12, 0.20)
@@ -41,7 +44,7 @@ class Routes:
         X_from = self._kinematics.X_WT(q_from)
         turn = _rotation_vector(X_from[:3, :3].T @ X_WT[:3, :3])
         distance = float(np.linalg.norm(X_WT[:3, 3] - X_from[:3, 3]))
-        count = max(2, int(np.ceil(max(distance / step, np.linalg.norm(turn) / 0.2))))
+        count = _pieces(distance / step, turn)
         poses = []
         for w in np.linspace(0, 1, count + 1)[1:-1]:
             R = X_from[:3, :3] @ _rotation(w * turn)
@@ -55,7 +58,7 @@ class Routes:
         a1 = a0 + (a1 - a0 + np.pi) % (2 * np.pi) - np.pi
         turn = _rotation_vector(X_from[:3, :3].T @ X_WT[:3, :3])
         length = float(np.hypot(np.hypot(r1 - r0, X_WT[2, 3] - X_from[2, 3]), 0.5 * (r0 + r1) * (a1 - a0)))
-        count = max(2, int(np.ceil(max(length / _SWEEP_STEP, np.linalg.norm(turn) / 0.2))))
+        count = _pieces(length / _SWEEP_STEP, turn)
         poses = []
         for w in np.linspace(0, 1, count + 1)[1:-1]:
             r, a, z = (1 - w) * r0 + w * r1, (1 - w) * a0 + w * a1, (1 - w) * X_from[2, 3] + w * X_WT[2, 3]
@@ -66,9 +69,9 @@ class Routes:
         """Routes without detours that end at exactly q_to."""
         yield [q_from, q_to]
         X_WT = self._kinematics.X_WT(q_to)
-        for make in (lambda: self.line(q_from, X_WT, step=_SWEEP_STEP), lambda: self.arc(q_from, X_WT)):
+        for make in (partial(self.line, step=_SWEEP_STEP), self.arc):
             try:
-                route = make()
+                route = make(q_from, X_WT)
             except PlanError:
                 continue
             if np.abs(route[-1] - q_to).max() < 1e-6:
@@ -118,6 +121,11 @@ class Routes:
                 raise PlanError("a straight tool motion would have to turn the arm over")
             route.append(q)
         return route
+
+
+def _pieces(steps: float, turn: Array) -> int:
+    """Into how many pieces a tool motion is cut, for its length in steps and its turn [rad]."""
+    return max(2, int(np.ceil(max(steps, float(np.linalg.norm(turn)) / _TURN_STEP))))
 
 
 def _polar(p: Array) -> tuple[float, float]:

@@ -69,7 +69,7 @@ class TimedPath:
         the last one is the first whole period at which the arm is at rest.
         """
         count = max(1, int(np.ceil(self.duration / period - 1e-9)))
-        times = period * np.arange(count + 1)
+        times: Array = period * np.arange(count + 1, dtype=np.float64)
         q, qd, _ = self.sample(times)
         qd[-1] = 0.0
         return times, q, qd

@@ -1,7 +1,7 @@
 """The simulated UR3e: joint motors that follow set-points with the real arm's delay.
 
 A UR controller's `servoj` follows a streamed set-point about one look-ahead time late. Here
-the set-points are kept, interpolated (cubic Hermite) and given to PyBullet's joint motors
+the set-points are kept, interpolated and given to PyBullet's joint motors
 `lag` seconds late; the motors are limited to the published joint torques.
 """
 
@@ -74,14 +74,11 @@ class SimArm:
         t1, q1, qd1 = points[1]
         h = t1 - t0
         s = (t - t0) / h
-        q = (
-            (1 + 2 * s) * (1 - s) ** 2 * q0
-            + s * (1 - s) ** 2 * h * qd0
-            + s * s * (3 - 2 * s) * q1
-            + s * s * (s - 1) * h * qd1
-        )
-        qd = 6 * s * (s - 1) / h * (q0 - q1) + (1 - s) * (1 - 3 * s) * qd0 + s * (3 * s - 2) * qd1
-        return q, qd
+        # Speed is linear in between, so that a window of any phase sees no more acceleration than
+        # was planned; position is its integral, with what that misses spread evenly.
+        missed = q1 - q0 - 0.5 * h * (qd0 + qd1)
+        q = q0 + h * (s * qd0 + 0.5 * s * s * (qd1 - qd0)) + s * missed
+        return q, (1 - s) * qd0 + s * qd1
 
     def _drive(self, q: Array, qd: Array) -> None:
         bullet.setJointMotorControlArray(

@@ -1,0 +1,218 @@
+"""The search for inspection poses.
+
+A view is given by where the camera stands in the TCP frame: its tilt from the tool's axis and
+its azimuth about it. A few patterns of such directions show nearly all of an onion; the search
+finds the place, the turn about the line of sight and the order with the least motion. All views
+share one place, so between them the tool only turns, which no tool speed cap slows down.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise, permutations
+
+import numpy as np
+
+from cell.config import CellConfig
+from cell.errors import ConfigError, PlanError
+from cell.frames import Array, Pinhole, look_at, pose
+from cell.limits import Q_MAX, QD_MAX
+from cell.motion.planner import Planner
+
+PATTERNS = (
+    ((50, 150), (70, 330), (90, 60), (90, 240)),
+    ((50, 30), (70, 210), (90, 120), (90, 300)),
+    ((60, 30), (60, 210), (90, 120), (90, 300)),
+    ((60, 150), (60, 330), (90, 60), (90, 240)),
+    ((70, 30), (70, 120), (70, 210), (70, 300)),
+    ((60, 30), (60, 120), (60, 210), (60, 300)),
+)
+"""Tilt and azimuth [deg] of the camera in the TCP frame per view; the best patterns of four on a
+10 x 30 degree grid, best first, found by trying all of them against `coverage.Onion`."""
+RADIUS = 0.035
+"""Of the onion that views are searched for [m]."""
+_IMAGE_MARGIN = 60.0
+_DISTANCE = (0.40, 0.65)
+_CLEARANCE = 0.02
+_TURNS = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+_PLACES_TRIED = 12
+_ACCELERATION = 7.0
+"""Used for comparing motions [rad/s^2]."""
+
+
+@dataclass(frozen=True)
+class View:
+    """One inspection pose: joint angles q (6,) [rad] and TCP pose X_WT (4, 4)."""
+
+    q: Array
+    X_WT: Array
+
+
+@dataclass(frozen=True)
+class _Plan:
+    cost: float
+    views: tuple[View, ...]
+
+
+class ViewSearch:
+    """The search for one cell, deterministic."""
+
+    def __init__(self, config: CellConfig) -> None:
+        self._config = config
+        self._planner = Planner(config)
+        camera = config.cameras["belt"]
+        self._pinhole = Pinhole.from_hfov(camera.width, camera.height, camera.hfov)
+        self._X_WC = look_at(camera.position, camera.target)
+        belt, home = config.belt, np.array(config.arm.home)
+        hover = [
+            self._planner.grasp_pose(np.array([x, y, belt.top_z + RADIUS + config.motion.hover]), 0.0)
+            for x in np.linspace(*belt.pick_x, 3)
+            for y in np.linspace(*belt.pick_y, 5)
+        ]
+        self._q_hover = np.array([self._planner.kinematics.ik_near(X, home) for X in hover])
+        self._p_hover = np.array([X[:3, 3] for X in hover])
+        self._near = self._q_hover[len(hover) // 2]
+
+    def best(self) -> tuple[View, ...]:
+        """The views with the least motion of the best pattern that can be had.
+
+        Raises:
+            ConfigError: no pattern can be had.
+        """
+        places = [(p, self._axes(p)) for p in self._places()]
+        for pattern in PATTERNS:
+            plans = [plan for p, axes in places if (plan := self._order(p, axes, pattern)) is not None]
+            for plan in sorted(plans, key=lambda plan: plan.cost)[:_PLACES_TRIED]:
+                if self._connected(plan.views):
+                    return plan.views
+        raise ConfigError(
+            "no inspection pose in reach shows a held onion to the belt camera; "
+            "move cameras.belt.position nearer to the arm"
+        )
+
+    def _places(self) -> list[Array]:
+        """Places (3,) [m] in view of the camera and near the pick window, nearest first."""
+        belt, p_WC = self._config.belt, self._X_WC[:3, 3]
+        out = []
+        for x in np.arange(belt.pick_x[0] - 0.10, belt.pick_x[1] + 0.001, 0.05):
+            for y in np.arange(belt.pick_y[0], belt.pick_y[1] + 0.001, 0.06):
+                for z in np.arange(belt.top_z + 0.17, belt.top_z + 0.55, 0.05):
+                    p = np.array([x, y, z])
+                    near, far = _DISTANCE
+                    if near <= float(np.linalg.norm(p_WC - p)) <= far and self._in_image(p):
+                        out.append(p)
+        return sorted(out, key=lambda p: float(np.linalg.norm(self._p_hover - p, axis=1).mean()))[:40]
+
+    def _axes(self, p_WT: Array) -> dict[int, Array]:
+        """Per tilt [deg], arm poses (K, 6) [rad] that hold an onion at p_WT free and in sight.
+
+        The last joint stands so that the camera's azimuth in the TCP frame is zero.
+        """
+        c = self._X_WC[:3, 3] - p_WT
+        c /= np.linalg.norm(c)
+        u = np.cross(c, [0.0, 0.0, 1.0])
+        u /= np.linalg.norm(u)
+        v = np.cross(c, u)
+        out = {}
+        for tilt in sorted({t for pattern in PATTERNS for t, _ in pattern}):
+            angle, found = np.radians(tilt), []
+            for turn in _TURNS:
+                aside = np.cos(turn) * u + np.sin(turn) * v
+                z_T = np.cos(angle) * c + np.sin(angle) * aside
+                x_T = np.sin(angle) * c - np.cos(angle) * aside  # c lies in the plane of x and z
+                X_WT = pose(np.column_stack([x_T, np.cross(z_T, x_T), z_T]), p_WT)
+                q = self._planner.kinematics.ik(X_WT, self._near)
+                found += [s for s in q if self._planner.kinematics.at_home_in(s)]
+            out[tilt] = self._usable(np.array(found).reshape(-1, 6), p_WT)
+        return out
+
+    def _usable(self, q: Array, p_WT: Array) -> Array:
+        """Those of the arm poses (K, 6) that touch nothing and do not hide the onion."""
+        if not len(q):
+            return q
+        model = self._planner.collision
+        clear = model.clearance(q, held_radius=self._config.onions.diameter[1] / 2) >= _CLEARANCE
+        hidden = model.hides(q, self._X_WC[:3, 3], p_WT, radius=RADIUS, tool=False)[:, 0]
+        return q[clear & ~hidden]
+
+    def _order(
+        self, p_WT: Array, axes: dict[int, Array], pattern: tuple[tuple[int, int], ...]
+    ) -> _Plan | None:
+        """The order and arm poses with the least motion at one place; None if a view is impossible."""
+        steps = []
+        for tilt, azimuth in pattern:
+            q = axes[tilt].copy()
+            if not len(q):
+                return None
+            q[:, 5] -= np.radians(azimuth)
+            steps.append(q)
+        speed = self._config.motion.speed_margin * self._config.motion.collaborative_speed
+        to_bin = float(np.linalg.norm(np.array(self._config.bin.center) - p_WT)) / speed
+        best: tuple[float, list[Array]] | None = None
+        for order in permutations(range(len(steps))):
+            cost = self._transfer(p_WT, steps[order[0]])
+            chosen: list[Array] = []
+            for a, b in pairwise(order):
+                through = cost[:, None] + _turn_time(steps[b][None] - steps[a][:, None])
+                chosen.append(through.argmin(axis=0))
+                cost = through.min(axis=0)
+            cost = cost + 0.5 * self._transfer(p_WT, steps[order[-1]]) + 0.5 * to_bin
+            k = int(cost.argmin())
+            if best is None or cost[k] < best[0] - 1e-9:
+                picks = [k]
+                for back in reversed(chosen):
+                    picks.append(int(back[picks[-1]]))
+                best = float(cost[k]), [steps[o][j] for o, j in zip(order, reversed(picks), strict=True)]
+        assert best is not None
+        return _Plan(best[0], self._turned(best[1]))
+
+    def _turned(self, poses: list[Array]) -> tuple[View, ...]:
+        """Views from arm poses, the last joint taken round the shorter way from one to the next."""
+        views, last = [], float(self._near[5])
+        for q in poses:
+            q = q.copy()
+            options = q[5] + 2 * np.pi * np.arange(-2, 3)
+            options = options[np.abs(options) < Q_MAX[5] - 0.2]
+            last = q[5] = options[np.argmin(np.abs(options - last))]
+            views.append(View(q, self._planner.kinematics.X_WT(q)))
+        return tuple(views)
+
+    def _transfer(self, p_WT: Array, q: Array) -> Array:
+        """Rough mean time (K,) [s] between the pick window and arm poses (K, 6) at p_WT."""
+        speed = self._config.motion.speed_margin * self._config.motion.collaborative_speed
+        tool = np.linalg.norm(self._p_hover - p_WT, axis=1) / speed
+        joints = _turn_time((q[:, None] - self._q_hover)[..., :5])
+        out: Array = np.maximum(tool, joints).mean(axis=1)
+        return out
+
+    def _connected(self, views: tuple[View, ...]) -> bool:
+        """The planner finds its way from the window through the views to the bin."""
+        planner, radius = self._planner, self._config.onions.diameter[1] / 2
+        q_drop = planner.kinematics.ik_near(planner.drop_pose(views[-1].q), views[-1].q)
+        stops = [self._near, *(v.q for v in views), q_drop]
+        speed = self._config.motion.collaborative_speed
+        try:
+            for a, b in pairwise(stops):
+                planner.plan_joints(a, b, speed, held_radius=radius)
+        except PlanError:
+            return False
+        return True
+
+    def _in_image(self, p_W: Array) -> bool:
+        p_C = self._X_WC[:3, :3].T @ (p_W - self._X_WC[:3, 3])
+        if p_C[2] <= 0:
+            return False
+        u, v = self._pinhole.project(p_C)
+        m = _IMAGE_MARGIN
+        return bool(m <= u <= self._pinhole.width - m and m <= v <= self._pinhole.height - m)
+
+
+def _turn_time(dq: Array) -> Array:
+    """Time [s] for joint moves (..., J) [rad] from rest to rest at moderate limits, shape (...)."""
+    dq = np.abs(dq)
+    dq[..., 5:] = np.abs((dq[..., 5:] + np.pi) % (2 * np.pi) - np.pi)
+    speed = QD_MAX[: dq.shape[-1]]
+    ramp = speed**2 / _ACCELERATION
+    time = np.where(dq < ramp, 2 * np.sqrt(dq / _ACCELERATION), dq / speed + speed / _ACCELERATION)
+    out: Array = time.max(axis=-1)
+    return out
