@@ -38,7 +38,7 @@ def main() -> int:
         backend = make_backend(args.backend, config, seed=args.seed, onions=args.onions)
         backend.connect()
         try:
-            with Session.listen(config) as session:
+            with Session.listen(config, patient=args.lock_step) as session:
                 _serve(Node(config, backend, session, lock_step=args.lock_step))
         finally:
             backend.close()

@@ -81,7 +81,7 @@ def run_round(
         supervisor = Supervisor(config, policy, planner, InspectionViews(config), detector, HOLDER)
         _warm_up(planner, detector, config)
         node.wait_ready()
-        session = stack.enter_context(Session.connect(config))
+        session = stack.enter_context(Session.connect(config, patient=options.lock_step))
         meter = Meter(session, config)
         if options.record is not None:
             recorder = Recorder(config, options.record)

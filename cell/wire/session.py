@@ -55,13 +55,18 @@ class Session:
 
     Use it as a context manager, or call `close`. Every method may be called from any thread.
 
+    Args:
+        patient: `publish` waits for receivers instead of dropping, so that nothing is lost. For
+            lock-step, where simulated time can wait; in real time a control loop cannot.
+
     Attributes:
         keys: the cell's channel names.
     """
 
-    def __init__(self, session: zenoh.Session, config: CellConfig) -> None:
+    def __init__(self, session: zenoh.Session, config: CellConfig, *, patient: bool = False) -> None:
         self.keys = Keys(config.name)
         self._session = session
+        self._congestion = zenoh.CongestionControl.BLOCK if patient else zenoh.CongestionControl.DROP
         self._sender = secrets.randbits(63)
         self._lock = threading.Lock()
         self._closed = False
@@ -71,13 +76,13 @@ class Session:
         _open_sessions.add(self)
 
     @classmethod
-    def listen(cls, config: CellConfig) -> Session:
+    def listen(cls, config: CellConfig, *, patient: bool = False) -> Session:
         """The node's end, on tcp/127.0.0.1:{config.port}; raises WireError if the port is in use."""
         codec.warm_up()
-        return cls(open_listener(config), config)
+        return cls(open_listener(config), config, patient=patient)
 
     @classmethod
-    def connect(cls, config: CellConfig, timeout: float = 5.0) -> Session:
+    def connect(cls, config: CellConfig, timeout: float = 5.0, *, patient: bool = False) -> Session:
         """Everybody else's end. Reconnects by itself when the node goes and comes back.
 
         Args:
@@ -87,13 +92,13 @@ class Session:
             WireError: nobody listens there.
         """
         codec.warm_up()
-        return cls(open_client(config, timeout), config)
+        return cls(open_client(config, timeout), config, patient=patient)
 
     def publish(self, key: str, message: Any) -> None:
         """Send `message` to all who read `key`; `message.t` becomes its source time.
 
-        Never waits for a receiver longer than a few milliseconds: when a link is congested
-        the message is dropped, and its readers count it as lost.
+        Unless the session is patient, never waits for a receiver longer than a few milliseconds:
+        when a link is congested the message is dropped, and its readers count it as lost.
 
         Raises:
             WireError: the message cannot be encoded, or the session is closed.
@@ -127,7 +132,7 @@ class Session:
                     publisher = self._open().declare_publisher(
                         key,
                         encoding=encoding,
-                        congestion_control=zenoh.CongestionControl.DROP,
+                        congestion_control=self._congestion,
                         priority=quality.priority,
                         express=quality.express,
                     )
