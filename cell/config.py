@@ -7,16 +7,23 @@ Units are SI, angles are radians, positions are in the world frame W (= ROS `bas
 
 from __future__ import annotations
 
+import math
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import yaml
+from msgspec import Meta
 
 from cell.errors import ConfigError
 
 Vec3 = tuple[float, float, float]
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+Share = Annotated[float, Meta(ge=0, le=1)]
+Count = Annotated[int, Meta(ge=1, le=1000)]
+Pixels = Annotated[int, Meta(ge=16, le=4096)]
 
 
 class _Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -26,35 +33,35 @@ class _Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 class ArmConfig(_Strict, frozen=True):
     """The arm and how it is driven."""
 
-    control_period: float
+    control_period: Annotated[float, Meta(gt=0, le=0.1)]
     """Period of the node's trajectory executor [s]."""
-    physics_substeps: int
+    physics_substeps: Count
     """Simulation: physics steps per control period."""
-    lag: float
+    lag: Annotated[float, Meta(ge=0, lt=0.5)]
     """Simulation: delay between a set-point and the joints following it [s] (servoj lookahead)."""
     home: tuple[float, float, float, float, float, float]
     """Joint angles [rad] at which the arm is clear of the belt camera's view."""
-    max_acceleration: float
+    max_acceleration: Positive
     """Joint acceleration limit [rad/s^2] (Universal Robots publishes none)."""
-    velocity_scale: float
+    velocity_scale: Annotated[float, Meta(gt=0, le=1)]
     """Fraction of the URDF's joint speed limits that plans may use."""
 
 
 class GripperConfig(_Strict, frozen=True):
     """Parallel gripper; defaults are those of the Robotiq 2F-85."""
 
-    stroke: float
+    stroke: Positive
     """Largest distance between the pads [m]."""
-    length: float
+    length: Positive
     """Flange to tool centre point [m]."""
-    min_speed: float
-    max_speed: float
+    min_speed: Positive
+    max_speed: Positive
     """Finger speed range, each pad relative to the other [m/s]."""
-    min_force: float
-    max_force: float
+    min_force: Positive
+    max_force: Positive
     """Grip force range [N]."""
-    grip_speed: float
-    grip_force: float
+    grip_speed: Positive
+    grip_force: Positive
     """What the supervisor asks for when it takes an onion [m/s], [N]."""
 
 
@@ -77,9 +84,9 @@ class BinConfig(_Strict, frozen=True):
 
     center: Vec3
     """Centre of the bin's opening [m]."""
-    size: Vec3
+    size: tuple[Positive, Positive, Positive]
     """Inner width (x), inner length (y), depth (z) [m]."""
-    drop_height: float
+    drop_height: NotNegative
     """Height of the held onion's centre above the opening when it is let go [m]."""
 
 
@@ -89,75 +96,75 @@ class CameraConfig(_Strict, frozen=True):
     position: Vec3
     target: Vec3
     """The optical axis passes from `position` through `target` [m]."""
-    width: int
-    height: int
-    hfov: float
+    width: Pixels
+    height: Pixels
+    hfov: Annotated[float, Meta(gt=0, lt=math.pi)]
     """Horizontal field of view of the colour image [rad]."""
-    rate: float
+    rate: NotNegative
     """Frames per second in free-running mode [Hz]; 0: on demand only."""
-    latency: float
+    latency: NotNegative
     """Exposure to delivery [s]."""
-    min_depth: float
-    max_depth: float
+    min_depth: Positive
+    max_depth: Positive
     """Depth outside is reported as missing [m]."""
-    depth_baseline: float
+    depth_baseline: Positive
     """Stereo baseline [m]."""
-    depth_focal: float
+    depth_focal: Positive
     """Focal length of the depth imagers [px]."""
-    disparity_noise: float
+    disparity_noise: NotNegative
     """Standard deviation of the disparity [px]."""
-    depth_unit: float
+    depth_unit: Positive
     """Quantum of a depth reading [m]."""
 
 
 class OnionConfig(_Strict, frozen=True):
     """The produce."""
 
-    diameter: tuple[float, float]
+    diameter: tuple[Positive, Positive]
     """Smallest and largest diameter [m]."""
-    blemished_share: float
+    blemished_share: Share
     """Probability that an onion carries blemishes."""
-    spacing: float
+    spacing: Positive
     """Least distance between the centres of neighbours on the belt [m]."""
 
 
 class MotionConfig(_Strict, frozen=True):
     """Speed and shape of motions."""
 
-    collaborative_speed: float
+    collaborative_speed: Positive
     """TCP speed cap beside a person [m/s]."""
-    industrial_speed: float
+    industrial_speed: Positive
     """TCP speed cap when the person is away [m/s]."""
-    speed_margin: float
+    speed_margin: Annotated[float, Meta(gt=0, le=1)]
     """Plans use this fraction of the TCP cap."""
-    acceleration_margin: float
+    acceleration_margin: Annotated[float, Meta(gt=0, le=1)]
     """Plans use this fraction of the joint acceleration limit."""
-    hover: float
+    hover: Positive
     """Height of the TCP above an onion's centre before and after grasping [m]."""
-    clearance: float
+    clearance: NotNegative
     """Least distance kept between the arm and the cell's fixed parts when planning [m]."""
 
 
 class SupervisorConfig(_Strict, frozen=True):
     """The decision loop."""
 
-    ticks_per_cycle: int
+    ticks_per_cycle: Count
     """Control periods per supervisor tick."""
-    heartbeat_deadline: float
+    heartbeat_deadline: Positive
     """The node stops the arm when the supervisor has been silent for this long [s]."""
-    command_lifetime: float
+    command_lifetime: Positive
     """Commands older than this are refused [s]."""
-    max_frame_age: float
+    max_frame_age: Positive
     """Camera frames older than this are not used [s]."""
-    max_state_age: float
+    max_state_age: Positive
     """Joint states older than this stop the supervisor [s]."""
-    grasp_attempts: int
+    grasp_attempts: Count
     """Tries per onion before it is set aside as not graspable."""
-    look_attempts: int
+    look_attempts: Count
     """Looks before a lost or uncertain detection is acted upon."""
-    score_threshold: float
+    score_threshold: Share
     """Least detection score that counts."""
-    round_timeout: float
+    round_timeout: Positive
     """Longest round [s]."""
 
 
@@ -166,7 +173,7 @@ class CellConfig(_Strict, frozen=True):
 
     name: str
     """Prefix of all wire keys."""
-    port: int
+    port: Annotated[int, Meta(ge=1024, le=65535)]
     """TCP port of the node's Zenoh endpoint on the loopback interface."""
     arm: ArmConfig
     gripper: GripperConfig
@@ -204,10 +211,23 @@ def load(path: Path | str | None = None) -> CellConfig:
 
 def from_dict(data: Any, source: object = "configuration") -> CellConfig:
     """Typed configuration from plain data; raises `ConfigError` naming the offending key."""
+    if unusable := _not_finite(data):
+        raise ConfigError(f"{source}: '{unusable}' must be a finite number")
     try:
         return msgspec.convert(data, CellConfig, strict=False)
     except msgspec.ValidationError as error:
         raise ConfigError(f"{source}: {error}") from None
+
+
+def _not_finite(data: Any, where: str = "") -> str:
+    """Dotted key of the first number that is infinite or not a number; empty if all are fine."""
+    if isinstance(data, dict):
+        entries = [(f"{where}.{key}" if where else str(key), value) for key, value in data.items()]
+    elif isinstance(data, list):
+        entries = [(where, value) for value in data]
+    else:
+        return where if isinstance(data, float) and not math.isfinite(data) else ""
+    return next((found for key, value in entries if (found := _not_finite(value, key))), "")
 
 
 def to_dict(config: CellConfig) -> dict[str, Any]:
@@ -215,13 +235,26 @@ def to_dict(config: CellConfig) -> dict[str, Any]:
     return msgspec.to_builtins(config)  # type: ignore[no-any-return]
 
 
+class _Loader(yaml.SafeLoader):
+    """YAML in which a key given twice is an error; plain YAML would silently take the last."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        for name in names:
+            if names.count(name) > 1:
+                raise yaml.constructor.ConstructorError(problem=f"key '{name}' is given twice")
+        return super().construct_mapping(node, deep)
+
+
 def _read_yaml(path: Path) -> dict[str, Any]:
     try:
-        data = yaml.safe_load(path.read_text())
+        data = yaml.load(path.read_text(), _Loader)
     except OSError as error:
         raise ConfigError(f"cannot read configuration {path}: {error.strerror}") from None
     except yaml.YAMLError as error:
         raise ConfigError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from None
+    except RecursionError:
+        raise ConfigError(f"{path} is not valid YAML: nested too deeply") from None
     except UnicodeDecodeError:
         raise ConfigError(f"{path} is not a text file") from None
     if not isinstance(data, dict):
@@ -249,7 +282,7 @@ def _overlay(base: dict[str, Any], top: dict[str, Any], where: str, source: Path
 
 def _check(config: CellConfig) -> None:
     """Values that types cannot rule out."""
-    belt, motion, arm = config.belt, config.motion, config.arm
+    belt, gripper = config.belt, config.gripper
     rules = [
         (belt.x[0] < belt.x[1] and belt.y[0] < belt.y[1], "belt.x, belt.y: lower < upper"),
         (
@@ -258,26 +291,34 @@ def _check(config: CellConfig) -> None:
             "belt.pick_x, belt.pick_y: a window inside belt.x, belt.y",
         ),
         (
-            0 < motion.collaborative_speed <= motion.industrial_speed,
-            "motion: 0 < collaborative_speed <= industrial_speed",
+            config.motion.collaborative_speed <= config.motion.industrial_speed,
+            "motion: collaborative_speed <= industrial_speed",
         ),
-        (0 < motion.speed_margin <= 1, "motion.speed_margin: in (0, 1]"),
-        (0 < motion.acceleration_margin <= 1, "motion.acceleration_margin: in (0, 1]"),
-        (arm.control_period > 0, "arm.control_period: above 0 s"),
-        (arm.physics_substeps >= 1, "arm.physics_substeps: at least 1"),
-        (arm.max_acceleration > 0, "arm.max_acceleration: above 0 rad/s^2"),
-        (0 < arm.velocity_scale <= 1, "arm.velocity_scale: in (0, 1]"),
-        (0 <= arm.lag < 0.5, "arm.lag: in [0, 0.5) s"),
-        (1024 <= config.port <= 65535, "port: 1024..65535"),
+        (
+            gripper.min_speed <= gripper.grip_speed <= gripper.max_speed,
+            "gripper.min_speed <= gripper.grip_speed <= gripper.max_speed",
+        ),
+        (
+            gripper.min_force <= gripper.grip_force <= gripper.max_force,
+            "gripper.min_force <= gripper.grip_force <= gripper.max_force",
+        ),
         ("belt" in config.cameras, "cameras: needs one called 'belt'"),
         (
-            0 < config.onions.diameter[0] <= config.onions.diameter[1] < config.gripper.stroke,
-            "onions.diameter: 0 < smallest <= largest < gripper.stroke",
+            config.onions.diameter[0] <= config.onions.diameter[1] < gripper.stroke,
+            "onions.diameter: smallest <= largest < gripper.stroke",
         ),
-        (config.supervisor.ticks_per_cycle >= 1, "supervisor.ticks_per_cycle: at least 1"),
+        (config.onions.spacing >= config.onions.diameter[1], "onions.spacing: at least the largest diameter"),
         (config.renderer in ("auto", "gl", "tiny"), "renderer: auto, gl or tiny"),
         (config.name.replace("_", "").isalnum(), "name: letters, digits and _"),
     ]
+    for name, camera in config.cameras.items():
+        where = f"cameras.{name}"
+        sideways = math.dist(camera.position[:2], camera.target[:2])
+        rules += [
+            (name.replace("_", "").isalnum(), f"{where}: letters, digits and _"),
+            (sideways > 1e-3, f"{where}.target: not straight above or below {where}.position"),
+            (camera.min_depth < camera.max_depth, f"{where}.min_depth < {where}.max_depth"),
+        ]
     for fine, rule in rules:
         if not fine:
             raise ConfigError(f"configuration violates: {rule}")

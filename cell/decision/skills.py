@@ -6,7 +6,9 @@ task changes by what a skill reports, never by what was hoped for.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -23,6 +25,8 @@ from cell.wire.vocabulary import Prediction
 
 _BLEMISHED_ABOVE = 0.5
 """P(blemished) from which an onion counts as blemished."""
+_UNCERTAIN = (0.25, 0.75)
+"""Between these the detector is asked again."""
 _FINGERTIP = 0.011
 """The fingers reach this far beyond the tool centre point [m]."""
 _BELT_GAP = 0.006
@@ -66,15 +70,15 @@ class Skills:
         self.target = None
         yield from self._go_home()
         for _ in range(self._config.supervisor.look_attempts):
-            frame = yield from self.body.look("belt")
-            seen = self._eye.belt(frame)
-            self.detections.append(seen.detections)
-            self.tracker.look(list(seen.sightings))
+            yield from self._look_at_belt()
             while waiting := self.tracker.waiting():
                 grasp = choose(waiting, self.tracker.tracks, self._p_WT(), self._config)
                 if self._reachable(grasp):
                     self.target = grasp
-                    blemished = grasp.track.p_blemished >= _BLEMISHED_ABOVE
+                    chance = yield from self._until_certain(
+                        grasp.track.p_blemished, partial(self._look_again, grasp.track.id)
+                    )
+                    blemished = chance >= _BLEMISHED_ABOVE
                     return Ended("done", "", Prediction.BLEMISHED if blemished else Prediction.UNBLEMISHED)
                 self.tracker.failed(grasp.track.id, 1, "out of the arm's reach")
         return Ended("nothing_left", "no onion left to sort")
@@ -91,6 +95,7 @@ class Skills:
             yield from self._to_pose(above)
             yield from self._to_pose(X_WT, straight=True)
             yield from self.body.settle()
+            self._X_WT_grasp = X_WT
             yield from self.body.grip(0.0)
             held = self.body.holds()
             if not held:
@@ -101,7 +106,6 @@ class Skills:
             self.target = None
             return Ended("unreachable", str(error))
         if held and self.body.holds():
-            self._X_WT_grasp = X_WT
             return Ended("done")
         code, reason = (
             ("lost_onion", "it slipped while lifting")
@@ -111,7 +115,7 @@ class Skills:
         if held:
             yield from self.body.grip(self._config.gripper.stroke)
         self.tracker.failed(grasp.track.id, self._config.supervisor.grasp_attempts, reason)
-        self.target = None
+        self.target, self._X_WT_grasp = None, None
         return Ended(code, reason)
 
     def detect_pick(self) -> Skill[Ended]:
@@ -124,9 +128,9 @@ class Skills:
 
     def inspect(self) -> Skill[Ended]:
         """Turn the held onion's hidden sides to the belt camera."""
+        views = self._views.views
         found = 0
-        worst = self.target.track.p_blemished if self.target else 0.0
-        for view in self._views.views:
+        for view in views:
             yield from self.body.follow(
                 self._planner.plan_joints(
                     self.body.q_rest, view.q, self.body.speed_cap, held_radius=self._held_radius()
@@ -135,23 +139,25 @@ class Skills:
             yield from self.body.settle()
             if not self.body.holds():
                 return (yield from self._lost("it fell during inspection"))
+            p_WT = view.X_WT[:3, 3]
+            chance: float | None = None
             for _ in range(self._config.supervisor.look_attempts):
-                frame = yield from self.body.look("belt")
-                seen = self._eye.held(frame, view.X_WT[:3, 3])
-                self.detections.append(seen.detections)
-                if seen.found:
-                    found += 1
-                    worst = max(worst, seen.p_blemished)
+                chance = yield from self._look_at_held(p_WT)
+                if chance is not None:
                     break
-            if worst >= _BLEMISHED_ABOVE:
+            if chance is None:
+                continue
+            found += 1
+            chance = yield from self._until_certain(chance, partial(self._look_at_held, p_WT))
+            if chance >= _BLEMISHED_ABOVE:
                 return Ended("done", "blemish seen", Prediction.BLEMISHED)
-        if found < len(self._views.views):
-            reason = f"the onion was seen in {found} of {len(self._views.views)} views"
-            if found == 0:
-                # Nothing proves that it is sound: the safe side for the eater is the bin.
-                return Ended("done", reason, Prediction.BLEMISHED)
-            return Ended("done", reason, Prediction.UNBLEMISHED)
-        return Ended("done", "no blemish seen", Prediction.UNBLEMISHED)
+        if found == 0:
+            # Nothing proves that it is sound: the safe side for the eater is the bin.
+            return Ended("done", "the onion was not recognised in any view", Prediction.BLEMISHED)
+        seen = (
+            "no blemish seen" if found == len(views) else f"no blemish seen in {found} of {len(views)} views"
+        )
+        return Ended("done", seen, Prediction.UNBLEMISHED)
 
     def place_on_conveyor(self, sorted_out: bool = True) -> Skill[Ended]:
         """Put the held onion back where it lay; it counts as sorted if `sorted_out`."""
@@ -193,6 +199,39 @@ class Skills:
         return Ended("done")
 
     # -- parts ----------------------------------------------------------------------------------
+
+    def _look_at_belt(self) -> Skill[None]:
+        """Take a frame of the belt into the tracker."""
+        frame = yield from self.body.look("belt")
+        seen = self._eye.belt(frame)
+        self.detections.append(seen.detections)
+        self.tracker.look(list(seen.sightings))
+
+    def _look_again(self, track_id: int) -> Skill[float | None]:
+        """P(blemished) of one onion in a new frame of the belt; None if it was not seen."""
+        yield from self._look_at_belt()
+        track = self.tracker.get(track_id)
+        return track.p_blemished if track is not None and track.missed == 0 else None
+
+    def _look_at_held(self, p_WT: Array) -> Skill[float | None]:
+        """P(blemished) of the onion held at `p_WT` (3,) [m] in a new frame; None if it was not found."""
+        frame = yield from self.body.look("belt")
+        seen = self._eye.held(frame, p_WT)
+        self.detections.append(seen.detections)
+        return seen.p_blemished if seen.found else None
+
+    def _until_certain(self, chance: float, again: Callable[[], Skill[float | None]]) -> Skill[float]:
+        """Mean P(blemished) over as many looks as it takes to be certain, in bounds."""
+        looks = [chance]
+        while (
+            len(looks) < self._config.supervisor.look_attempts
+            and _UNCERTAIN[0] < sum(looks) / len(looks) < _UNCERTAIN[1]
+        ):
+            more = yield from again()
+            if more is None:
+                break
+            looks.append(more)
+        return sum(looks) / len(looks)
 
     def _lost(self, reason: str) -> Skill[Ended]:
         """The onion is gone: open the hand and forget the target; it will be seen again or not."""

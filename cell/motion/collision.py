@@ -192,7 +192,7 @@ class _Body:
 
 @lru_cache(maxsize=64)
 def _body(gripper_length: float, width: float, held_radius: float) -> _Body:
-    out, tip = width / 2 + _FINGER_OUT, _FINGER_TIP - 0.9 * _FINGER_RADIUS
+    out, tip = width / 2 + _FINGER_OUT, _FINGER_TIP - 1.05 * _FINGER_RADIUS
     capsules = [
         *_ARM,
         *(_Capsule("finger", 7, (x, 0, tip), (x, 0, _FINGER_ROOT), _FINGER_RADIUS, 6) for x in (-out, out)),

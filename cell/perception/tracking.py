@@ -42,8 +42,7 @@ class Track:
     """An onion over time.
 
     Attributes:
-        id: never reused. p_WO (3,), radius [m]: from the newest sighting.
-        p_blemished: largest probability of a blemish seen so far.
+        id: never reused. p_WO (3,), radius [m], p_blemished: from the newest sighting.
         status, attempts: what to do; grasps that failed. missed: looks in a row without it.
         reason: why it was set aside.
     """
@@ -85,9 +84,8 @@ class Tracker:
             track = self._tracks[track_id]
             if track_id in matched:
                 s = sightings[matched[track_id]]
-                worst = max(track.p_blemished, s.p_blemished)
                 self._tracks[track_id] = replace(
-                    track, p_WO=s.p_WO, radius=s.radius, p_blemished=worst, missed=0
+                    track, p_WO=s.p_WO, radius=s.radius, p_blemished=s.p_blemished, missed=0
                 )
             elif track.missed + 1 >= _FORGET_AFTER:
                 del self._tracks[track_id]

@@ -13,6 +13,8 @@ from typing import Self
 from cell.config import CellConfig, to_dict
 from cell.errors import CellError, WireError
 
+WARNING = "warning: "
+"""Lines of the node that begin like this are for the user at once."""
 _START_TIME = 60.0
 _END_TIME = 6.0
 """How long the node may take to serve, and to stop the arm and end [s]."""
@@ -89,5 +91,7 @@ class NodeProcess:
     def _collect(self) -> None:
         assert self._process.stderr is not None
         for line in self._process.stderr:
+            if line.startswith(WARNING):
+                print(f"cell: {line.rstrip()}", file=sys.stderr)
             self._errors.append(line.rstrip())
             del self._errors[:-50]

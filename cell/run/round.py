@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -116,7 +116,8 @@ def _drive(
                 break
             inputs = link.exchange(outputs.commands)
     except (KeyboardInterrupt, CellError) as error:
-        link.stop("interrupted by the user" if isinstance(error, KeyboardInterrupt) else str(error))
+        with suppress(CellError):  # the node itself may be gone; then it has stopped the arm
+            link.stop("interrupted by the user" if isinstance(error, KeyboardInterrupt) else str(error))
         raise
     duration = inputs.t - start
     factor = duration / max(perf_s() - began, 1e-9)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 
 from cell.config import CellConfig
@@ -17,7 +19,7 @@ from cell.wire.types import (
     Truth,
 )
 from hil.sim.camera import Camera
-from hil.sim.render.renderer import Renderer, make_renderer
+from hil.sim.render.renderer import Renderer, gl_problem, make_renderer
 from hil.sim.world import World
 
 _CONTACTS_KEPT = 20
@@ -164,7 +166,9 @@ class SimBackend:
 
 
 def best_renderer() -> str:
-    """ "gl" where an EGL context can be made, else "tiny"."""
-    from hil.sim.render.renderer import gl_problem
-
-    return "tiny" if gl_problem() else "gl"
+    """ "gl" where an EGL context can be made, else "tiny", with a warning that says why."""
+    problem = gl_problem()
+    if not problem:
+        return "gl"
+    warnings.warn(f"{problem} Using PyBullet's TinyRenderer, which is slower.", stacklevel=2)
+    return "tiny"

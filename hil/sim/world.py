@@ -23,6 +23,8 @@ LABELS = {"robot": 1, "belt": 2, "bin": 3, "post": 4, "floor": 5, "pedestal": 6}
 """Labels of the scene's parts; onion number i has label `ONION_LABEL + i`."""
 ONION_LABEL = 100
 
+_SLEEP = 0.01
+"""Onions slower than this for two seconds sleep until something touches them (Bullet's measure)."""
 _SETTLE = 1.0
 """Time for dropped onions to come to rest before the round starts [s]."""
 
@@ -216,7 +218,8 @@ class World:
             self._reference_texture(body, onion)
         bullet.changeDynamics(
             body, -1, lateralFriction=0.8, rollingFriction=0.002, spinningFriction=0.002,
-            linearDamping=0.02, angularDamping=0.1, frictionAnchor=1, physicsClientId=c,
+            linearDamping=0.02, angularDamping=0.1, frictionAnchor=1,
+            activationState=bullet.ACTIVATION_STATE_ENABLE_SLEEPING, sleepThreshold=_SLEEP, physicsClientId=c,
         )  # fmt: skip
         self.scene.add(
             Visual(
