@@ -174,7 +174,7 @@ class Rig:
             outputs = self.step()
             if outputs.done:
                 return outputs
-            assert self.backend.now() < limit, f"not done after {limit} s: {self.texts}"
+            assert self.backend.now() < limit, f"not done after {limit} s: {self.texts[-8:]}"
 
     def _obey(self, command: Command) -> Reply:
         reply = self.refuse(command)

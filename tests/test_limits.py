@@ -34,7 +34,11 @@ JOINTS = arrays(np.float64, 6, elements=st.floats(-3.0, 3.0))
 # Computed from Universal Robots' published DH table, in the controller's base frame:
 # joint angles [rad], position [m], axis-angle [rad].
 PUBLISHED = [
-    ([-1.54, -1.83, -2.28, -0.59, 1.60, 0.023], [-0.119995, -0.273535, 0.120594], [-0.012413, 3.111990, -0.018048]),
+    (
+        [-1.54, -1.83, -2.28, -0.59, 1.60, 0.023],
+        [-0.119995, -0.273535, 0.120594],
+        [-0.012413, 3.111990, -0.018048],
+    ),
     ([0.3, -1.2, 1.1, -1.4, -1.5, 0.7], [-0.321443, -0.243430, 0.302456], [2.546676, 1.683626, 0.073301]),
     ([0.0] * 6, [-0.456750, -0.223150, 0.066500], [1.570796, 0.0, 0.0]),
 ]  # fmt: skip
@@ -66,7 +70,7 @@ def refusal(trajectory: Trajectory) -> str:
     return error.value.code
 
 
-GOOD = move(HOME, HOME + [0.4, 0.2, -0.3, 0.2, 0.1, 0.5], 1.6)
+GOOD = move(HOME, HOME + np.array([0.4, 0.2, -0.3, 0.2, 0.1, 0.5]), 1.6)
 
 
 @pytest.mark.parametrize(("q", "p", "v"), PUBLISHED)
@@ -150,21 +154,24 @@ def test_shapes_and_times_are_checked() -> None:
 
 
 def test_it_must_end_at_rest() -> None:
-    assert refusal(changed(GOOD, times=GOOD.times[:90], q=GOOD.q[:90], qd=GOOD.qd[:90])) == RefusalCode.NOT_AT_REST
+    assert (
+        refusal(changed(GOOD, times=GOOD.times[:90], q=GOOD.q[:90], qd=GOOD.qd[:90]))
+        == RefusalCode.NOT_AT_REST
+    )
 
 
 def test_joint_angles_are_limited() -> None:
     start = np.array([0.0, -1.5, 2.9, 0.0, 0.0, 0.0])
-    assert refusal(move(start, start + [0, 0, 0.4, 0, 0, 0], 3.0)) == RefusalCode.JOINT_LIMIT
+    assert refusal(move(start, start + np.array([0, 0, 0.4, 0, 0, 0]), 3.0)) == RefusalCode.JOINT_LIMIT
 
 
 def test_joint_speeds_are_limited() -> None:
     folded = np.array([0.0, -1.5, 0.0, 0.0, 0.0, -5.0])
-    assert refusal(move(folded, folded + [0, 0, 0, 0, 0, 9.0], 2.4)) == RefusalCode.VELOCITY_LIMIT
+    assert refusal(move(folded, folded + np.array([0, 0, 0, 0, 0, 9.0]), 2.4)) == RefusalCode.VELOCITY_LIMIT
 
 
 def test_accelerations_are_limited_and_jumps_show() -> None:
-    assert refusal(move(HOME, HOME + [0, 0, 0, 0, 0, 1.0], 0.6)) == RefusalCode.ACCELERATION_LIMIT
+    assert refusal(move(HOME, HOME + np.array([0, 0, 0, 0, 0, 1.0]), 0.6)) == RefusalCode.ACCELERATION_LIMIT
     jump = GOOD.q.copy()
     jump[100:] += [0, 0, 0.002, 0, 0, 0]
     assert refusal(changed(GOOD, q=jump)) == RefusalCode.ACCELERATION_LIMIT
@@ -172,12 +179,12 @@ def test_accelerations_are_limited_and_jumps_show() -> None:
 
 def test_tool_speed_is_limited() -> None:
     stretched = np.array([0.0, -0.3, 0.0, 0.0, 0.0, 0.0])
-    assert refusal(move(stretched, stretched + [2.4, 0, 0, 0, 0, 0], 2.2)) == RefusalCode.TCP_SPEED
+    assert refusal(move(stretched, stretched + np.array([2.4, 0, 0, 0, 0, 0]), 2.2)) == RefusalCode.TCP_SPEED
 
 
 def test_limits_hold_between_sparse_points_too() -> None:
     # Two points at rest: the cubic between them peaks at 1.5 times the mean speed.
-    far = HOME + [0, 0, 0, 0, 0, 4.5]
+    far = HOME + np.array([0, 0, 0, 0, 0, 4.5])
     sparse = Trajectory(1, "t", 0.0, 1.0, np.array([0.0, 1.0]), np.stack([HOME, far]), np.zeros((2, 6)))
     assert refusal(sparse) == RefusalCode.ACCELERATION_LIMIT
     slow = changed(sparse, times=np.array([0.0, 1.9]))
@@ -186,7 +193,9 @@ def test_limits_hold_between_sparse_points_too() -> None:
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.5, 8.0), st.floats(-2.0, 2.0), st.floats(0.001, 0.02))
-def test_short_segments_of_any_motion_within_the_limit_pass(split: float, a: float, v: float, h: float) -> None:
+def test_short_segments_of_any_motion_within_the_limit_pass(
+    split: float, a: float, v: float, h: float
+) -> None:
     """Full acceleration and then full braking, switched anywhere in a segment, needs exactly that limit."""
     t1 = split * h
     v1 = v + a * t1 - a * (h - t1)

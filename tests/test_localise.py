@@ -68,7 +68,7 @@ def test_with_the_cameras_noise_the_centre_is_within_8_mm() -> None:
 
 @pytest.mark.parametrize("side", ["left", "right", "top", "bottom"])
 def test_partly_hidden_with_noise_and_a_loose_box(side: str) -> None:
-    """Something nearer covers a third of the onion; the box is a pixel or two off, as detectors are."""
+    """A neighbour covers a third of the onion; the box is a pixel or two off, as detectors' are."""
     for p_WO, radius in places(6):
         depth, box = sphere(p_WO, radius)
         x0, y0, x1, y1 = (round(v) for v in box.box)
@@ -79,7 +79,7 @@ def test_partly_hidden_with_noise_and_a_loose_box(side: str) -> None:
             "top": (slice(0, y0 + third_y), slice(None)),
             "bottom": (slice(y1 - third_y, None), slice(None)),
         }[side]
-        depth[cover] = 0.45
+        depth[cover] -= np.float32(0.06)
         off = RNG.uniform(-1.5, 1.5, 4)
         loose = Box((x0 + off[0], y0 + off[1], x1 + off[2], y1 + off[3]), box.label, box.score)
         found = locate(loose, sense_depth(depth, CAMERA, RNG), PINHOLE, X_WC)

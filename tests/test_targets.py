@@ -40,9 +40,11 @@ def test_the_fingers_turn_away_from_a_neighbour() -> None:
     middle = track(1, 0.3, 0.0)
     along_x = (middle, track(2, 0.3 - 0.09, 0.0), track(3, 0.3 + 0.09, 0.0))
     along_y = (middle, track(2, 0.3, -0.09), track(3, 0.3, 0.09))
-    assert abs(abs(best_yaw(middle, along_x, CONFIG).yaw) - np.pi / 2) < np.radians(31)
-    assert abs(best_yaw(middle, along_y, CONFIG).yaw) < np.radians(31)
-    assert best_yaw(middle, along_x, CONFIG).clearance > 0.01
+    for everything, bad in ((along_x, 0.0), (along_y, np.pi / 2)):
+        grasp = best_yaw(middle, everything, CONFIG)
+        assert grasp.clearance > 0.012
+        for other in everything[1:]:
+            assert finger_gap(middle.p_WO, grasp.yaw, other) > 0.012 > finger_gap(middle.p_WO, bad, other)
 
 
 @settings(max_examples=100, deadline=None)

@@ -92,7 +92,7 @@ def test_a_straight_joint_move_is_as_fast_as_the_limits_allow() -> None:
     """Closed form: a bang-bang move of one joint by d takes 2 sqrt(d / a)."""
     q = np.array(CONFIG.arm.home)
     d = 0.8
-    timed = time_path(JointPath([q, q + [0, 0, 0, 0, 0, d]]), FAST, CONFIG)
+    timed = time_path(JointPath([q, q + np.array([0, 0, 0, 0, 0, d])]), FAST, CONFIG)
     best = 2 * np.sqrt(d / (CONFIG.motion.acceleration_margin * A_MAX))
     assert timed.duration == pytest.approx(best, rel=0.01)
 
@@ -100,7 +100,7 @@ def test_a_straight_joint_move_is_as_fast_as_the_limits_allow() -> None:
 def test_a_tool_bound_move_is_as_fast_as_the_cap_allows() -> None:
     """Most of a long slow sweep runs at exactly the planned tool speed."""
     q = np.array([0.0, -0.6, -0.3, -1.0, 1.57, 0.0])
-    timed = time_path(JointPath([q, q + [1.6, 0, 0, 0, 0, 0]]), SLOW, CONFIG)
+    timed = time_path(JointPath([q, q + np.array([1.6, 0, 0, 0, 0, 0])]), SLOW, CONFIG)
     _, q_, qd, _ = fine(timed)
     speed = tool_speed(q_, qd)
     assert np.median(speed) == pytest.approx(CONFIG.motion.speed_margin * SLOW, rel=1e-3)
@@ -149,7 +149,9 @@ def test_eight_changes_of_mind_in_a_row() -> None:
             before = timed.sample(np.array([t]))
             timed = retime(timed, t, float(cap), CONFIG)
             after = timed.sample(np.array([0.0]))
-            assert np.allclose(before[0], after[0], atol=1e-12) and np.allclose(before[1], after[1], atol=1e-9)
+            assert np.allclose(before[0], after[0], atol=1e-12) and np.allclose(
+                before[1], after[1], atol=1e-9
+            )
             assert np.abs(timed.sample(np.linspace(0, timed.duration, 500))[2]).max() <= A_MAX
 
 

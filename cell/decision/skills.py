@@ -19,7 +19,7 @@ from cell.frames import Array
 from cell.motion.planner import Planner
 from cell.motion.views import InspectionViews
 from cell.perception.look import Eye
-from cell.perception.tracking import Tracker
+from cell.perception.tracking import Status, Tracker
 from cell.wire.types import Detections
 from cell.wire.vocabulary import Prediction
 
@@ -81,7 +81,7 @@ class Skills:
                     blemished = chance >= _BLEMISHED_ABOVE
                     return Ended("done", "", Prediction.BLEMISHED if blemished else Prediction.UNBLEMISHED)
                 self.tracker.failed(grasp.track.id, 1, "out of the arm's reach")
-        return Ended("nothing_left", "no onion left to sort")
+        return Ended("nothing_left", self._what_is_left())
 
     def pick(self) -> Skill[Ended]:
         """Take the chosen onion from the belt."""
@@ -232,6 +232,12 @@ class Skills:
                 break
             looks.append(more)
         return sum(looks) / len(looks)
+
+    def _what_is_left(self) -> str:
+        """Why the batch is over, with what had to be left lying."""
+        reasons = [t.reason for t in self.tracker.tracks if t.status is Status.SET_ASIDE]
+        counts = ", ".join(f"{reasons.count(r)} {r}" for r in dict.fromkeys(reasons))
+        return "no onion left to sort" + (f"; set aside: {counts}" if reasons else "")
 
     def _lost(self, reason: str) -> Skill[Ended]:
         """The onion is gone: open the hand and forget the target; it will be seen again or not."""

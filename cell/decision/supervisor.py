@@ -24,7 +24,9 @@ from cell.wire.types import Event, SupervisorState
 from cell.wire.vocabulary import Action
 
 _MOST_FAILURES = 5
-"""Skills that may fail in a row before the round is given up."""
+"""Skills that may fail in a row before the round is given up; looking at the belt does not count."""
+_COUNTED_ELSEWHERE = ("missed_grasp", "lost_onion", "unreachable")
+"""Ends that the tracker counts per onion until it is set aside."""
 _INFO, _WARN, _ERROR = 20, 30, 40
 
 
@@ -141,7 +143,10 @@ class Supervisor:
         if ended.code == "nothing_left":
             self._finish("")
             return False
-        self._failures = 0 if ended.done else self._failures + 1
+        if ended.done and self._action is not Action.DETECT:
+            self._failures = 0
+        elif not ended.done and ended.code not in _COUNTED_ELSEWHERE:
+            self._failures += 1
         if ended.code == "stopped" or self._failures >= _MOST_FAILURES:
             self._finish(f"{self._action.name.lower()} failed: {self._reason}")
             return False

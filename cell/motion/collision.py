@@ -32,14 +32,17 @@ _FLOOR_Z = -0.75
 _FAR = 10.0
 _PEDESTAL = 0.10
 
-_FURNISHED = ("upper arm", "elbow", "forearm", "wrist", "hand", "finger", "onion")
-"""What can meet furniture; base and shoulder are bolted down and turn on the spot."""
+_PRODUCE, _ROLLED = "onions", 0.05
+"""The layer in which onions may lie, this far beyond the pick window too [m]."""
+
+_BOLTED = ("base", "shoulder")
+"""What never meets furniture; it turns on the spot. These come first among the spheres."""
 _TOOL = ("hand", "finger", "onion")
 _SELF = (
-    (("base", "shoulder", "upper arm"), ("wrist", "hand", "finger", "onion")),
-    (("elbow", "forearm"), _TOOL),
+    (("base", "shoulder", "upper arm"), ("wrist", "hand", "finger", "onion"), "tool and upper arm or base"),
+    (("elbow", "forearm"), _TOOL, "tool and forearm"),
 )
-"""Parts of the arm that can meet each other."""
+"""Parts of the arm that can meet each other, and what to call such a pair."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,8 @@ class _Capsule:
 
 
 _ARM = (
-    _Capsule("base", 0, (0, 0, 0), (0, 0, DH_D[0]), 0.075, 4),
+    _Capsule("base", 0, (0, 0, 0), (0, 0, 0.038), 0.075, 3),
+    _Capsule("shoulder", 0, (0, 0, 0.038), (0, 0, DH_D[0]), 0.063, 5),
     _Capsule("shoulder", 1, (0, 0, 0), (0, 0, _SHOULDER_OFFSET), 0.060, 4),
     _Capsule("upper arm", 2, (-DH_A[1], 0, _SHOULDER_OFFSET), (0, 0, _SHOULDER_OFFSET), 0.054, 8),
     _Capsule("elbow", 2, (0, 0, _SHOULDER_OFFSET), (0, 0, _ELBOW_OFFSET), 0.058, 4),
@@ -76,14 +80,24 @@ class CollisionModel:
         self._length = config.gripper.length
         self._stroke = config.gripper.stroke
         self._credit = config.motion.clearance - TOUCH
-        self._names_fixed, self._low, self._high = _boxes(config)
-        self._belt = np.array([name == "belt" for name in self._names_fixed])
+        boxes, self._low, self._high = _boxes(config)
+        self._belt = np.array([name == "belt" for name in boxes])
+        self._layer = boxes.index(_PRODUCE)
         eyes = [look_at(c.position, c.target) for c in config.cameras.values()]
         self._cameras = np.array([X[:3, 3] for X in eyes])
         self._posts = np.array([X[:3, 3] - _POST_BEHIND * X[:3, 2] for X in eyes])
+        count = len(eyes)
+        self._things = [*boxes, *["camera"] * count, *["camera post"] * count]
+        self._padding = np.array([0.0] * len(boxes) + [CAMERA_RADIUS] * count + [POST_RADIUS] * count)
 
     def clearance(
-        self, q: Array, *, width: float | None = None, held_radius: float = 0.0, touching: bool = False
+        self,
+        q: Array,
+        *,
+        width: float | None = None,
+        held_radius: float = 0.0,
+        touching: bool = False,
+        flying: bool = False,
     ) -> Array:
         """Least distance of arm, gripper and held onion to anything, shape (N,) [m].
 
@@ -94,16 +108,23 @@ class CollisionModel:
             touching: the tool approaches or leaves the belt on purpose. The held onion may then
                 lie on the belt, and fingertips count as `motion.clearance` away when they are
                 2 mm from it.
+            flying: the tool must also stay above the layer in which onions lie.
         """
-        gaps, _ = self._gaps(np.atleast_2d(q), width, held_radius, touching)
+        gaps, _ = self._gaps(np.atleast_2d(q), width, held_radius, touching, flying)
         out: Array = gaps.min(axis=1)
         return out
 
     def nearest(
-        self, q: Array, *, width: float | None = None, held_radius: float = 0.0, touching: bool = False
+        self,
+        q: Array,
+        *,
+        width: float | None = None,
+        held_radius: float = 0.0,
+        touching: bool = False,
+        flying: bool = False,
     ) -> tuple[float, str]:
         """The least clearance [m] over configurations (N, 6) or (6,), and which two parts it is between."""
-        gaps, pairs = self._gaps(np.atleast_2d(q), width, held_radius, touching)
+        gaps, pairs = self._gaps(np.atleast_2d(q), width, held_radius, touching, flying)
         least = gaps.min(axis=0)
         worst = int(np.argmin(least))
         return float(least[worst]), pairs[worst]
@@ -144,40 +165,40 @@ class CollisionModel:
         return centres, body.radii, body.names
 
     def _gaps(
-        self, q: Array, width: float | None, held_radius: float, touching: bool
+        self, q: Array, width: float | None, held_radius: float, touching: bool, flying: bool
     ) -> tuple[Array, list[str]]:
         """Distances (N, P) [m] of the pairs of things that can touch, and the pairs' names."""
         p, r, names = self.spheres(q, width=width, held_radius=held_radius)
-        free = _where(names, _FURNISHED)
-        pf, rf = p[:, free], r[free]
-        outside = np.maximum(np.maximum(self._low - pf[:, :, None], pf[:, :, None] - self._high), 0.0)
-        boxes = np.sqrt(np.einsum("nsbj,nsbj->nsb", outside, outside)) - rf[:, None]
-        away = pf[:, :, None] - self._cameras
-        housings = np.sqrt(np.einsum("nscj,nscj->nsc", away, away)) - CAMERA_RADIUS - rf[:, None]
-        level = np.hypot(*np.moveaxis(pf[:, :, None, :2] - self._posts[:, :2], -1, 0))
-        posts = np.where(pf[:, :, None, 2] <= self._cameras[:, 2], level - POST_RADIUS - rf[:, None], _FAR)
-        fixed = np.concatenate([boxes, housings, posts], axis=2)
-        things = [*self._names_fixed, *["camera"] * len(self._cameras), *["camera post"] * len(self._posts)]
-        gaps: list[Array] = []
-        pairs: list[str] = []
-        for part in _FURNISHED:
-            rows = np.flatnonzero(np.isin(free, _where(names, (part,))))
-            if not len(rows):
-                continue
-            gap = fixed[:, rows].min(axis=1)
-            if touching and part == "finger":
-                gap[:, : len(self._belt)][:, self._belt] += self._credit
-            if touching and part == "onion":
-                gap[:, : len(self._belt)][:, self._belt] = _FAR
-            gaps.append(gap)
-            pairs += [f"{part} and {thing}" for thing in things]
-        for these, those in _SELF:
-            a, b = _where(names, these), _where(names, those)
-            between = p[:, a, None] - p[:, None, b]
-            gap = np.sqrt(np.einsum("nabj,nabj->nab", between, between)) - r[a][:, None] - r[b]
-            gaps.append(gap.min(axis=(1, 2))[:, None])
-            pairs.append(f"{' or '.join(those)} and the arm's {' or '.join(these)}")
-        return np.concatenate(gaps, axis=1), pairs
+        first, parts, starts = _furnished(names)
+        # Axes first, so that each step works on one large block: (things, N, spheres).
+        x = np.ascontiguousarray(p[:, first:].transpose(2, 0, 1))
+        boxes = np.zeros((len(self._low), *x.shape[1:]))
+        for axis in range(3):
+            low, high = self._low[:, axis, None, None], self._high[:, axis, None, None]
+            outside = np.maximum(low - x[axis], x[axis] - high)
+            np.maximum(outside, 0.0, out=outside)
+            boxes += outside * outside
+        away = x[:, None] - self._cameras.T[:, :, None, None]
+        aside = x[:2, None] - self._posts.T[:2, :, None, None]
+        apart = np.sqrt(np.concatenate([boxes, (away * away).sum(axis=0), (aside * aside).sum(axis=0)]))
+        gap = apart - self._padding[:, None, None] - r[first:]
+        gap[-len(self._posts) :][x[2] > self._cameras[:, 2, None, None]] = _FAR  # above the post
+        least = np.minimum.reduceat(gap, starts, axis=2)
+        for part, bonus in (("finger", self._credit), ("onion", _FAR)):
+            if touching and part in parts:
+                least[: len(self._belt)][self._belt, :, parts.index(part)] += bonus
+        for k, part in enumerate(parts):
+            if not flying or part not in _TOOL:
+                least[self._layer, :, k] = _FAR
+        out = [least.transpose(1, 2, 0).reshape(len(p), -1)]
+        pairs = [f"{part} and {thing}" for part in parts for thing in self._things]
+        for these, those, pair in _SELF:
+            i, j = _where(names, these), _where(names, those)
+            between = p[:, i, None] - p[:, None, j]
+            distance = np.sqrt(np.einsum("nabj,nabj->nab", between, between))
+            out.append((distance - r[i][:, None] - r[j]).min(axis=(1, 2))[:, None])
+            pairs.append(pair)
+        return np.concatenate(out, axis=1), pairs
 
 
 @dataclass(frozen=True)
@@ -218,6 +239,14 @@ def _body(gripper_length: float, width: float, held_radius: float) -> _Body:
 
 
 @lru_cache(maxsize=64)
+def _furnished(names: tuple[str, ...]) -> tuple[int, list[str], NDArray[np.intp]]:
+    """What can meet furniture: its first sphere, the parts' names, where each starts from there."""
+    first = next(i for i, name in enumerate(names) if name not in _BOLTED)
+    parts = list(dict.fromkeys(names[first:]))
+    return first, parts, np.array([names[first:].index(part) for part in parts])
+
+
+@lru_cache(maxsize=64)
 def _where(names: tuple[str, ...], wanted: tuple[str, ...]) -> NDArray[np.intp]:
     return np.flatnonzero([name in wanted for name in names])
 
@@ -236,6 +265,11 @@ def _boxes(config: CellConfig) -> tuple[list[str], Array, Array]:
         ("bin", (x0, y0 - _WALL, z0 - _WALL), (x1, y1 + _WALL, z0)),
         ("pedestal", (-_PEDESTAL, -_PEDESTAL, -1.0), (_PEDESTAL, _PEDESTAL, -0.002)),
         ("floor", (-5.0, -5.0, -2.0), (5.0, 5.0, _FLOOR_Z)),
+        (
+            _PRODUCE,
+            (b.pick_x[0] - _ROLLED, b.pick_y[0] - _ROLLED, b.top_z),
+            (b.pick_x[1] + _ROLLED, b.pick_y[1] + _ROLLED, b.top_z + config.onions.diameter[1]),
+        ),
     ]
     return (
         [n for n, _, _ in boxes],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from ur_analytic_ik import ur3e
 
 from cell.config import CellConfig
@@ -15,6 +16,7 @@ X_BW = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 _MARGIN = 0.10
 """Kept from the joint limits [rad]."""
+_TURNS = 2 * np.pi * np.arange(-2.0, 3.0)[:, None]
 _WEIGHTS = np.array([2.0, 2.0, 1.5, 1.0, 1.0, 0.5])
 """How much a radian of each joint counts when branches are compared: big joints swing more arm."""
 
@@ -31,7 +33,7 @@ class Kinematics:
         self._length = config.gripper.length
         self._X_ET = pose(p=(0.0, 0.0, self._length))
         self._X_TE = inverse(self._X_ET)
-        self._home_family = family(np.array(config.arm.home))
+        self._home_family = _families(np.array([config.arm.home]))
 
     def X_WT(self, q: Array) -> Array:
         """Pose of the TCP, shape (4, 4)."""
@@ -49,12 +51,11 @@ class Kinematics:
         from `q_near`. Empty when the pose is out of reach.
         """
         X_BE = np.ascontiguousarray(X_BW @ X_WT @ self._X_TE)
-        found = []
-        for raw in ur3e.inverse_kinematics(X_BE):
-            q = _unwrap(np.asarray(raw, dtype=float), q_near)
-            if q is not None:
-                found.append(q)
-        return sorted(found, key=lambda q: (not self.at_home_in(q), float(_WEIGHTS @ np.abs(q - q_near))))
+        raw = np.array(ur3e.inverse_kinematics(X_BE), dtype=float).reshape(-1, 6)
+        q = _unwrap(raw, q_near)
+        foreign = (_families(q) != self._home_family).any(axis=1)
+        order = np.lexsort((np.abs(q - q_near) @ _WEIGHTS, foreign))
+        return list(q[order])
 
     def ik_near(self, X_WT: Array, q_near: Array) -> Array:
         """The best solution of `ik`.
@@ -70,22 +71,30 @@ class Kinematics:
 
     def at_home_in(self, q: Array) -> bool:
         """Whether q is of the same family as `arm.home`."""
-        return family(q) == self._home_family
+        return bool((_families(q[None]) == self._home_family).all())
 
 
 def family(q: Array) -> tuple[bool, bool, bool]:
     """Which of the eight IK families q (6,) [rad] belongs to: shoulder, elbow, wrist."""
+    shoulder, elbow, wrist = _families(q[None])[0]
+    return bool(shoulder), bool(elbow), bool(wrist)
+
+
+def _families(q: Array) -> NDArray[np.bool_]:
+    """`family` of each of q (K, 6), shape (K, 3)."""
     # Horizontal distance of the wrist before the shoulder's axis, along the plane of the arm.
-    ahead = DH_A[1] * np.cos(q[1]) + DH_A[2] * np.cos(q[1] + q[2])
-    return bool(ahead > 0), bool(np.sin(q[2]) > 0), bool(np.sin(q[4]) > 0)
+    ahead = DH_A[1] * np.cos(q[:, 1]) + DH_A[2] * np.cos(q[:, 1] + q[:, 2])
+    return np.stack([ahead > 0, np.sin(q[:, 2]) > 0, np.sin(q[:, 4]) > 0], axis=1)
 
 
-def _unwrap(q: Array, q_near: Array) -> Array | None:
-    """Add whole turns so that q is nearest to q_near inside the limits; None if impossible."""
-    options = q + 2 * np.pi * np.arange(-2, 3)[:, None]
+def _unwrap(q: Array, q_near: Array) -> Array:
+    """Whole turns added so that each of q (K, 6) is nearest to q_near inside the limits.
+
+    Solutions for which no number of turns is inside the limits are left out.
+    """
+    options = q[:, None] + _TURNS
     travel = np.where(np.abs(options) <= Q_MAX - _MARGIN, np.abs(options - q_near), np.inf)
-    best = travel.argmin(axis=0)
-    if not np.isfinite(travel[best, np.arange(6)]).all():
-        return None
-    out: Array = options[best, np.arange(6)]
+    best = travel.argmin(axis=1)[:, None]
+    possible = np.isfinite(np.take_along_axis(travel, best, axis=1)).all(axis=(1, 2))
+    out: Array = np.take_along_axis(options, best, axis=1)[possible, 0]
     return out

@@ -22,6 +22,7 @@ class JointPath:
 
     Attributes:
         length: end of the parameter, the joint-space length [rad] (at least 1e-6).
+        pieces: number of the spline's pieces.
     """
 
     def __init__(self, waypoints: Sequence[Array] | Array) -> None:
@@ -35,7 +36,7 @@ class JointPath:
         q = q[[*kept, len(q) - 1]]
         steps = np.maximum(np.linalg.norm(np.diff(q, axis=0), axis=1), 1e-6)
         s = np.concatenate([[0.0], np.cumsum(steps)])
-        self.length = float(s[-1])
+        self.length, self.pieces = float(s[-1]), len(steps)
         self._spline = CubicSpline(s, q, bc_type="natural")
 
     def __call__(self, s: Array | float, order: int = 0) -> Array:

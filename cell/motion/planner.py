@@ -14,7 +14,7 @@ import numpy as np
 from cell.config import CellConfig
 from cell.errors import PlanError
 from cell.frames import Array, pose, rot_x, rot_z
-from cell.limits import Q_MAX
+from cell.limits import Q_MAX, tcp_positions
 from cell.motion.collision import CollisionModel
 from cell.motion.kinematics import Kinematics
 from cell.motion.paths import JointPath
@@ -29,6 +29,10 @@ _BRANCHES = 3
 """How many IK solutions of a goal are tried."""
 _DEEPEST = -0.01
 """A motion may leave from this close to a part, by the model's generous shapes [m]."""
+_CORNERS = (0.04, 0.015)
+"""How far from its corner an approach may begin to turn down, tried in this order [m]."""
+_ROUNDED_STEP, _DESCENT_STEP = 0.15, 0.02
+"""Spacing of an approach's waypoints before and after its corner [rad], [m]."""
 _DROP_YAWS = np.linspace(-np.pi / 2, np.pi / 2, 12, endpoint=False)
 
 
@@ -64,17 +68,21 @@ class Planner:
         return options[min(reached)[1]][1] if reached else X_WT
 
     def drop_pose(self, q_near: Array) -> Array:
-        """Tool straight down above the bin, with the yaw that moves the arm least.
+        """Tool straight down above the bin, with the yaw that moves the arm least there and home.
 
         Raises:
             PlanError: the bin is out of reach.
         """
         (x, y, z), height = self.config.bin.center, self.config.bin.drop_height
+        home = np.array(self.config.arm.home)
         found: list[tuple[bool, float, int]] = []
         poses = [self.grasp_pose(np.array([x, y, z + height]), float(yaw)) for yaw in _DROP_YAWS]
         for k, X_WT in enumerate(poses):
             for q in self.kinematics.ik(X_WT, q_near)[:2]:
-                found.append((not self.kinematics.at_home_in(q), float(np.abs(q - q_near).max()), k))
+                # The way to the bin is long enough to turn the wrist; the way home is short.
+                back = abs((q[5] - home[5] + np.pi) % (2 * np.pi) - np.pi)
+                travel = float(np.abs(q - q_near)[:5].max() + back)
+                found.append((not self.kinematics.at_home_in(q), travel, k))
         if not found:
             raise PlanError(
                 f"bin.center: the drop pose at ({x:.3f}, {y:.3f}, {z + height:.3f}) m is out of reach"
@@ -128,6 +136,7 @@ class Planner:
         """Motion from rest at `q_from` to rest at a TCP pose, the tool on a straight line if `straight`.
 
         Straight motions approach or leave the belt: fingertips and a held onion may come near it.
+        Others end with the last wrist joint within half a turn of home, so that it never winds up.
 
         Args:
             speed_cap: TCP speed cap [m/s]. held_radius: of an onion in the hand [m].
@@ -143,13 +152,45 @@ class Planner:
         self.kinematics.ik_near(X_WT, q_from)  # raises, naming a pose out of reach
         reasons: list[str] = []
         for q_to in self.kinematics.ik(X_WT, q_from)[:_BRANCHES]:
+            q_to[5] += 2 * np.pi * np.round((self.config.arm.home[5] - q_to[5]) / (2 * np.pi))
             try:
                 return self.plan_joints(q_from, q_to, speed_cap, held_radius=held_radius)
             except PlanError as error:
                 reasons.append(str(error))
         raise PlanError(reasons[0])
 
+    def plan_approach(
+        self, q_from: Array, X_WT: Array, speed_cap: float, *, held_radius: float = 0.0
+    ) -> TimedPath:
+        """One motion to above a grasp and straight down to it, without stopping in between.
+
+        Args:
+            X_WT: the grasp, or where a held onion is put down. speed_cap: TCP speed cap [m/s].
+            held_radius: of an onion in the hand [m].
+
+        Raises:
+            PlanError: as `plan_to_pose`, for either part.
+        """
+        transfer = self.plan_to_pose(q_from, self.hover(X_WT), speed_cap, held_radius=held_radius)
+        line = np.array(self._routes.line(transfer.path.end, X_WT, step=_DESCENT_STEP))
+        reasons = []
+        for corner in _CORNERS:
+            path = JointPath(self._rounded(transfer.path.samples(_ROUNDED_STEP), line, corner))
+            if not (problem := self._problem(path, held_radius, touching=True)):
+                return time_path(path, speed_cap, self.config)
+            reasons.append(problem)
+        raise PlanError(f"a straight tool motion would touch: {reasons[0]}")
+
     # -- internals ------------------------------------------------------------------------------
+
+    def _rounded(self, before: Array, after: Array, corner: float) -> Array:
+        """Two rows of waypoints as one, those nearer than `corner` [m] to where they meet left out."""
+        length = self.config.gripper.length
+        meet = tcp_positions(after[:1], length)
+        far_before = np.linalg.norm(tcp_positions(before, length) - meet, axis=1) > corner
+        far_after = np.linalg.norm(tcp_positions(after, length) - meet, axis=1) > corner
+        far_before[0] = far_after[-1] = True
+        return np.concatenate([before[far_before], after[far_after]])
 
     def _timed(
         self, routes: Iterable[list[Array]], speed_cap: float, held_radius: float, touched: list[str]
@@ -169,10 +210,13 @@ class Planner:
         q = path.samples(_CHECK_STEP)
         if (np.abs(q) > Q_MAX - _JOINT_MARGIN).any():
             return "a joint limit"
-        clear = self.collision.clearance(q, held_radius=held_radius, touching=touching)
+        # Transfers fly over the onions, unless they begin or end among them.
+        ends = self.collision.clearance(q[[0, -1]], held_radius=held_radius, flying=True)
+        flying = not touching and bool((ends >= 0.0).all())
+        clear = self.collision.clearance(q, held_radius=held_radius, touching=touching, flying=flying)
         # A motion that starts or ends close to something may be that close on the way, not closer.
         least = min(self.config.motion.clearance, float(clear[0]), float(clear[-1]))
         if clear[-1] >= 0.0 and least >= _DEEPEST and (clear >= least - 1e-4).all():
             return ""
         worst = q[int(np.argmin(clear))]
-        return self.collision.nearest(worst, held_radius=held_radius, touching=touching)[1]
+        return self.collision.nearest(worst, held_radius=held_radius, touching=touching, flying=flying)[1]

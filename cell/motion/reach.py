@@ -22,7 +22,6 @@ _GRID = (4, 7)
 _YAWS = (0.0, np.pi / 4, np.pi / 2, -np.pi / 4)
 _FINGERTIP_GAP = 0.017
 """The lowest grasp: fingertips reach 11 mm beyond the TCP and stay 6 mm off the belt [m]."""
-_ADVICE = "shrink the pick window (belt.pick_x, belt.pick_y) or move the belt"
 
 
 def check_reachable(config: CellConfig) -> None:
@@ -45,14 +44,15 @@ def check_reachable(config: CellConfig) -> None:
         x, y, z = X_WT[:3, 3]
         if not solutions:
             raise ConfigError(
-                f"{key} at ({x:.3f}, {y:.3f}, {z:.3f}) m is out of reach of the UR3e; {_ADVICE}"
+                f"{key} at ({x:.3f}, {y:.3f}, {z:.3f}) m is out of reach of the UR3e; "
+                "shrink the pick window or move the belt"
             )
         clear = model.clearance(np.array(solutions), touching=True)
         if clear.max() < least:
             _, pair = model.nearest(solutions[int(np.argmax(clear))], touching=True)
             raise ConfigError(
                 f"{key} at ({x:.3f}, {y:.3f}, {z:.3f}) m is in reach only by touching something "
-                f"({pair}); {_ADVICE}"
+                f"({pair}); shrink the pick window or move what is in the way"
             )
     InspectionViews(config)  # raises when there are none
 

@@ -74,8 +74,11 @@ class Routes:
                 route = make(q_from, X_WT)
             except PlanError:
                 continue
-            if np.abs(route[-1] - q_to).max() < 1e-6:
-                yield [*route[:-1], q_to]
+            missing = q_to - route[-1]
+            missing[5] -= 2 * np.pi * np.round(missing[5] / (2 * np.pi))
+            if np.abs(missing).max() < 1e-6:
+                turns = np.linspace(0, 1, len(route))[:, None] * (q_to - route[-1])
+                yield list(route + turns)  # whole turns of the last joint, spread evenly
 
     def detours(self, q_from: Array, q_to: Array) -> Iterator[list[Array]]:
         """Routes over raised, drawn-in and tucked poses."""

@@ -12,7 +12,8 @@ from cell.frames import Array
 from cell.motion.paths import JointPath
 from cell.motion.profile import fastest, speed_bound
 
-_SEGMENTS = 200
+_SEGMENTS, _SEGMENTS_PER_PIECE = 200, 10
+"""Segments of a grid: at least so many, and so many per piece of the path's spline."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,8 @@ def time_path(path: JointPath, speed_cap: float, config: CellConfig) -> TimedPat
     Raises:
         PlanError: no timing exists (a numerical failure; a path from rest to rest has one).
     """
-    grid = np.linspace(0.0, path.length, _SEGMENTS + 1)
+    count = max(_SEGMENTS, _SEGMENTS_PER_PIECE * path.pieces)
+    grid = np.linspace(0.0, path.length, count + 1)
     return TimedPath(path, grid, profile(path, grid, speed_cap, config, x0=0.0))
 
 

@@ -146,43 +146,51 @@ class ViewSearch:
                 return None
             q[:, 5] -= np.radians(azimuth)
             steps.append(q)
-        speed = self._config.motion.speed_margin * self._config.motion.collaborative_speed
-        to_bin = float(np.linalg.norm(np.array(self._config.bin.center) - p_WT)) / speed
-        best: tuple[float, list[Array]] | None = None
+        best: _Plan | None = None
         for order in permutations(range(len(steps))):
-            cost = self._transfer(p_WT, steps[order[0]])
+            cost = self._transfer(p_WT, steps[order[0]][:, :5])
             chosen: list[Array] = []
             for a, b in pairwise(order):
-                through = cost[:, None] + _turn_time(steps[b][None] - steps[a][:, None])
+                through = cost[:, None] + _turn_time(_shorter_way(steps[b][None] - steps[a][:, None]))
                 chosen.append(through.argmin(axis=0))
                 cost = through.min(axis=0)
-            cost = cost + 0.5 * self._transfer(p_WT, steps[order[-1]]) + 0.5 * to_bin
-            k = int(cost.argmin())
-            if best is None or cost[k] < best[0] - 1e-9:
-                picks = [k]
-                for back in reversed(chosen):
-                    picks.append(int(back[picks[-1]]))
-                best = float(cost[k]), [steps[o][j] for o, j in zip(order, reversed(picks), strict=True)]
-        assert best is not None
-        return _Plan(best[0], self._turned(best[1]))
+            cost = cost + self._transfer(p_WT, steps[order[-1]][:, :5])
+            picks = [int(cost.argmin())]
+            for back in reversed(chosen):
+                picks.append(int(back[picks[-1]]))
+            plan = self._turned(p_WT, [steps[o][j] for o, j in zip(order, reversed(picks), strict=True)])
+            if plan is not None and (best is None or plan.cost < best.cost - 1e-9):
+                best = plan
+        return best
 
-    def _turned(self, poses: list[Array]) -> tuple[View, ...]:
-        """Views from arm poses, the last joint taken round the shorter way from one to the next."""
-        views, last = [], float(self._near[5])
-        for q in poses:
-            q = q.copy()
-            options = q[5] + 2 * np.pi * np.arange(-2, 3)
-            options = options[np.abs(options) < Q_MAX[5] - 0.2]
-            last = q[5] = options[np.argmin(np.abs(options - last))]
-            views.append(View(q, self._planner.kinematics.X_WT(q)))
-        return tuple(views)
+    def _turned(self, p_WT: Array, poses: list[Array]) -> _Plan | None:
+        """The last joint taken round the shorter way from view to view, starting where it moves least.
+
+        Half a turn of the tool exchanges the two fingers and shows the same.
+        """
+        q = np.array(poses)
+        q[1:, 5] = q[0, 5] + np.cumsum(_shorter_way(np.diff(q, axis=0))[:, 5])
+        best: _Plan | None = None
+        for half_turns in range(-4, 5):
+            turned = q + [0, 0, 0, 0, 0, np.pi * half_turns]
+            if np.abs(turned[:, 5]).max() > Q_MAX[5] - 0.2:
+                continue
+            cost = float(_turn_time(np.diff(turned, axis=0)).sum())
+            cost += float(self._transfer(p_WT, turned[[0, -1]]).sum())
+            if best is None or cost < best.cost:
+                best = _Plan(cost, tuple(View(v, self._planner.kinematics.X_WT(v)) for v in turned))
+        return best
 
     def _transfer(self, p_WT: Array, q: Array) -> Array:
-        """Rough mean time (K,) [s] between the pick window and arm poses (K, 6) at p_WT."""
-        speed = self._config.motion.speed_margin * self._config.motion.collaborative_speed
-        tool = np.linalg.norm(self._p_hover - p_WT, axis=1) / speed
-        joints = _turn_time((q[:, None] - self._q_hover)[..., :5])
-        out: Array = np.maximum(tool, joints).mean(axis=1)
+        """Rough mean time (K,) [s] between the pick window and the first J joints (K, J) at p_WT.
+
+        The mean is over the window's places, and over both speed caps.
+        """
+        motion = self._config.motion
+        way = np.linalg.norm(self._p_hover - p_WT, axis=1) / motion.speed_margin
+        joints = _turn_time(q[:, None] - self._q_hover[:, : q.shape[1]])
+        caps = (motion.collaborative_speed, motion.industrial_speed)
+        out: Array = np.mean([np.maximum(way / cap, joints).mean(axis=1) for cap in caps], axis=0)
         return out
 
     def _connected(self, views: tuple[View, ...]) -> bool:
@@ -207,11 +215,16 @@ class ViewSearch:
         return bool(m <= u <= self._pinhole.width - m and m <= v <= self._pinhole.height - m)
 
 
+def _shorter_way(dq: Array) -> Array:
+    """Joint steps (..., 6) [rad] with whole turns of the last joint taken off."""
+    dq = dq.copy()
+    dq[..., 5] -= 2 * np.pi * np.round(dq[..., 5] / (2 * np.pi))
+    return dq
+
+
 def _turn_time(dq: Array) -> Array:
-    """Time [s] for joint moves (..., J) [rad] from rest to rest at moderate limits, shape (...)."""
-    dq = np.abs(dq)
-    dq[..., 5:] = np.abs((dq[..., 5:] + np.pi) % (2 * np.pi) - np.pi)
-    speed = QD_MAX[: dq.shape[-1]]
+    """Rough time (...) [s] for steps (..., J) [rad] of the first J joints, from rest to rest."""
+    dq, speed = np.abs(dq), QD_MAX[: dq.shape[-1]]
     ramp = speed**2 / _ACCELERATION
     time = np.where(dq < ramp, 2 * np.sqrt(dq / _ACCELERATION), dq / speed + speed / _ACCELERATION)
     out: Array = time.max(axis=-1)

@@ -56,11 +56,19 @@ def locate(box: Box, depth: NDArray[np.float32], pinhole: Pinhole, X_WC: Array) 
     near = float(np.median(np.linalg.norm(points_C, axis=1)))
     x0, y0, x1, y1 = box.box
     # The silhouette of a sphere subtends asin(r / d) on each side of its centre.
-    half_angle = 0.25 * ((x1 - x0) / pinhole.fx + (y1 - y0) / pinhole.fy)
-    sine = min(half_angle, 0.3)
+    middle = (x0 + x1) / 2, (y0 + y1) / 2
+    across = _angle(pinhole, (x0, middle[1]), (x1, middle[1]))
+    half_angle = 0.25 * (across + _angle(pinhole, (middle[0], y0), (middle[0], y1)))
+    sine = min(float(np.sin(half_angle)), 0.3)
     radius = float(np.clip(near * sine / (1.0 - sine), *_RADIUS_RANGE))
     centre_C, residual = _fit(points_C, radius, toward * (near + radius))
     return Located(X_WC[:3, :3] @ centre_C + X_WC[:3, 3], radius, residual)
+
+
+def _angle(pinhole: Pinhole, uv_a: tuple[float, float], uv_b: tuple[float, float]) -> float:
+    """Angle between the rays through two pixels [rad]; a pixel spans less, the farther off the axis."""
+    a, b = pinhole.back_project([uv_a, uv_b], [1.0, 1.0])
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 
 
 def _surface(box: Box, depth: NDArray[np.float32], pinhole: Pinhole) -> tuple[Array, Array]:

@@ -15,6 +15,8 @@ from cell.frames import Array
 
 _GATE = 0.045
 """A detection farther than this from a track is another onion [m]: half the least spacing."""
+_ROLLED = 0.12
+"""Onions left over after that may have rolled this far [m]."""
 _FORGET_AFTER = 3
 """Looks in a row without the onion after which its track is dropped."""
 
@@ -77,9 +79,9 @@ class Tracker:
 
     def look(self, sightings: list[Sighting]) -> None:
         """Take in everything one image of the whole belt showed."""
-        pairs = _mutual_nearest([t.p_WO for t in self._tracks.values()], [s.p_WO for s in sightings])
+        pairs = _associate([t.p_WO for t in self._tracks.values()], [s.p_WO for s in sightings])
         ids = list(self._tracks)
-        matched = {ids[i]: j for i, j in pairs}
+        matched = {ids[i]: j for i, j in pairs.items()}
         for track_id in ids:
             track = self._tracks[track_id]
             if track_id in matched:
@@ -117,8 +119,19 @@ class Tracker:
         self._tracks[track_id] = replace(track, attempts=attempts, status=status, reason=reason)
 
 
-def _mutual_nearest(tracks: list[Array], sightings: list[Array]) -> list[tuple[int, int]]:
-    """Index pairs (track, sighting) that are each other's nearest and within the gate."""
+def _associate(tracks: list[Array], sightings: list[Array]) -> dict[int, int]:
+    """Sighting index of each track that was seen: near ones first, then those that rolled away."""
+    pairs: dict[int, int] = {}
+    for gate in (_GATE, _ROLLED):
+        left_t = [i for i in range(len(tracks)) if i not in pairs]
+        left_s = [j for j in range(len(sightings)) if j not in pairs.values()]
+        found = _mutual_nearest([tracks[i] for i in left_t], [sightings[j] for j in left_s], gate)
+        pairs |= {left_t[i]: left_s[j] for i, j in found}
+    return pairs
+
+
+def _mutual_nearest(tracks: list[Array], sightings: list[Array], gate: float) -> list[tuple[int, int]]:
+    """Index pairs (track, sighting) that are each other's nearest and within `gate` [m]."""
     if not tracks or not sightings:
         return []
     delta = np.array(tracks)[:, None, :2] - np.array(sightings)[None, :, :2]
@@ -127,5 +140,5 @@ def _mutual_nearest(tracks: list[Array], sightings: list[Array]) -> list[tuple[i
     return [
         (i, int(j))
         for i, j in enumerate(nearest_sighting)
-        if nearest_track[j] == i and distance[i, j] <= _GATE
+        if nearest_track[j] == i and distance[i, j] <= gate
     ]
