@@ -89,11 +89,9 @@ class Skills:
         if grasp is None:
             return Ended("no_target", "pick without a detected onion")
         X_WT = self._grasp_pose(grasp)
-        above = X_WT.copy()
-        above[2, 3] += self._config.motion.hover
+        above = self._planner.hover(X_WT)
         try:
-            yield from self._to_pose(above)
-            yield from self._to_pose(X_WT, straight=True)
+            yield from self._approach(X_WT)
             yield from self.body.settle()
             self._X_WT_grasp = X_WT
             yield from self.body.grip(0.0)
@@ -166,13 +164,11 @@ class Skills:
             return Ended("no_onion", "nothing in the hand")
         low = X_WT.copy()
         low[2, 3] += _RELEASE_GAP
-        above = X_WT.copy()
-        above[2, 3] += self._config.motion.hover
-        yield from self._to_pose(above, held=True)
+        above = self._planner.hover(X_WT)
+        yield from self._approach(low, held=True)
+        yield from self.body.settle()
         if not self.body.holds():
             return (yield from self._lost("it fell on the way to the belt"))
-        yield from self._to_pose(low, straight=True, held=True)
-        yield from self.body.settle()
         yield from self.body.grip(self._config.gripper.stroke)
         yield from self._to_pose(above, straight=True)
         if self.target is not None and sorted_out:
@@ -253,6 +249,19 @@ class Skills:
             yield from self.body.follow(
                 self._planner.plan_joints(self.body.q_rest, home, self.body.speed_cap)
             )
+
+    def _approach(self, X_WT: Array, *, held: bool = False) -> Skill[None]:
+        """To above a grasp and straight down to it in one motion, in two where one is not free."""
+        radius = self._held_radius() if held else 0.0
+        try:
+            path = self._planner.plan_approach(
+                self.body.q_rest, X_WT, self.body.speed_cap, held_radius=radius
+            )
+        except PlanError:
+            yield from self._to_pose(self._planner.hover(X_WT), held=held)
+            yield from self._to_pose(X_WT, straight=True, held=held)
+            return
+        yield from self.body.follow(path)
 
     def _to_pose(self, X_WT: Array, *, straight: bool = False, held: bool = False) -> Skill[None]:
         radius = self._held_radius() if held else 0.0

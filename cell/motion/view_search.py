@@ -17,25 +17,29 @@ from cell.config import CellConfig
 from cell.errors import ConfigError, PlanError
 from cell.frames import Array, Pinhole, look_at, pose
 from cell.limits import Q_MAX, QD_MAX
+from cell.motion.coverage import Onion
 from cell.motion.planner import Planner
 
 PATTERNS = (
+    ((60, 30), (60, 210), (100, 120), (100, 300)),
+    ((50, 30), (70, 210), (100, 120), (100, 300)),
     ((50, 150), (70, 330), (90, 60), (90, 240)),
-    ((50, 30), (70, 210), (90, 120), (90, 300)),
     ((60, 30), (60, 210), (90, 120), (90, 300)),
-    ((60, 150), (60, 330), (90, 60), (90, 240)),
     ((70, 30), (70, 120), (70, 210), (70, 300)),
     ((60, 30), (60, 120), (60, 210), (60, 300)),
 )
-"""Tilt and azimuth [deg] of the camera in the TCP frame per view; the best patterns of four on a
-10 x 30 degree grid, best first, found by trying all of them against `coverage.Onion`."""
+"""Tilt and azimuth [deg] of the camera in the TCP frame per view: the best patterns of four on a
+10 x 30 degree grid, found by trying all of them against `coverage.Onion`. Each may also be taken
+half a turn further, which exchanges the fingers."""
+_ENOUGH = 0.97
+"""Among patterns that show this share of an onion, motion decides."""
 RADIUS = 0.035
 """Of the onion that views are searched for [m]."""
 _IMAGE_MARGIN = 60.0
 _DISTANCE = (0.40, 0.65)
 _CLEARANCE = 0.02
 _TURNS = np.linspace(0, 2 * np.pi, 12, endpoint=False)
-_PLACES_TRIED = 12
+_PLANS_TRIED = 5
 _ACCELERATION = 7.0
 """Used for comparing motions [rad/s^2]."""
 
@@ -50,8 +54,10 @@ class View:
 
 @dataclass(frozen=True)
 class _Plan:
+    """Rough time [s] of the motions, and the arm poses (V, 6) [rad] in order."""
+
     cost: float
-    views: tuple[View, ...]
+    q: Array
 
 
 class ViewSearch:
@@ -71,6 +77,8 @@ class ViewSearch:
         ]
         self._q_hover = np.array([self._planner.kinematics.ik_near(X, home) for X in hover])
         self._p_hover = np.array([X[:3, 3] for X in hover])
+        self._onion = Onion(RADIUS)
+        self._before = self._onion.seen_on_belt(config)
         self._near = self._q_hover[len(hover) // 2]
 
     def best(self) -> tuple[View, ...]:
@@ -80,15 +88,34 @@ class ViewSearch:
             ConfigError: no pattern can be had.
         """
         places = [(p, self._axes(p)) for p in self._places()]
-        for pattern in PATTERNS:
-            plans = [plan for p, axes in places if (plan := self._order(p, axes, pattern)) is not None]
-            for plan in sorted(plans, key=lambda plan: plan.cost)[:_PLACES_TRIED]:
-                if self._connected(plan.views):
-                    return plan.views
+        shows = {(k, half): self._shows(k, half) for k in range(len(PATTERNS)) for half in (0, 1)}
+        good = [pattern for pattern, share in shows.items() if share >= _ENOUGH]
+        rest = sorted(set(shows) - set(good), key=lambda pattern: -shows[pattern])
+        for patterns in (good, *([pattern] for pattern in rest)):
+            plans: list[_Plan] = []
+            for k in sorted({k for k, _ in patterns}):
+                halves = [half for j, half in patterns if j == k]
+                for p, axes in places:
+                    plans += self._plans(p, axes, PATTERNS[k], halves)
+            best: _Plan | None = None
+            for plan in sorted(plans, key=lambda plan: plan.cost)[:_PLANS_TRIED]:
+                if (true := self._planned(plan)) and (best is None or true.cost < best.cost):
+                    best = true
+            if best is not None:
+                return tuple(View(q, self._planner.kinematics.X_WT(q)) for q in best.q)
         raise ConfigError(
             "no inspection pose in reach shows a held onion to the belt camera; "
             "move cameras.belt.position nearer to the arm"
         )
+
+    def _shows(self, k: int, half: int) -> float:
+        """Share of an onion that pattern k, half a turn further or not, and the view on the belt show."""
+        seen = []
+        for tilt, azimuth in np.radians(PATTERNS[k]):
+            a = azimuth + np.pi * half
+            c = np.array([np.sin(tilt) * np.cos(a), np.sin(tilt) * np.sin(a), np.cos(tilt)])
+            seen.append(self._onion.seen_from(np.mean(_DISTANCE) * c))
+        return float(np.where(np.any(seen, axis=0), 1.0, self._before).mean())
 
     def _places(self) -> list[Array]:
         """Places (3,) [m] in view of the camera and near the pick window, nearest first."""
@@ -135,51 +162,49 @@ class ViewSearch:
         hidden = model.hides(q, self._X_WC[:3, 3], p_WT, radius=RADIUS, tool=False)[:, 0]
         return q[clear & ~hidden]
 
-    def _order(
-        self, p_WT: Array, axes: dict[int, Array], pattern: tuple[tuple[int, int], ...]
-    ) -> _Plan | None:
-        """The order and arm poses with the least motion at one place; None if a view is impossible."""
+    def _plans(
+        self, p_WT: Array, axes: dict[int, Array], pattern: tuple[tuple[int, int], ...], halves: list[int]
+    ) -> list[_Plan]:
+        """At most one plan at a place: the order and arm poses with the least motion."""
         steps = []
         for tilt, azimuth in pattern:
             q = axes[tilt].copy()
             if not len(q):
-                return None
+                return []
             q[:, 5] -= np.radians(azimuth)
             steps.append(q)
-        best: _Plan | None = None
+        ends = [self._transfer(p_WT, q[:, :5]) for q in steps]
+        between = {
+            (a, b): _turn_time(_shorter_way(steps[b][None] - steps[a][:, None]))
+            for a, b in permutations(range(len(steps)), 2)
+        }
+        found = []
         for order in permutations(range(len(steps))):
-            cost = self._transfer(p_WT, steps[order[0]][:, :5])
-            chosen: list[Array] = []
+            cost, chosen = ends[order[0]], []
             for a, b in pairwise(order):
-                through = cost[:, None] + _turn_time(_shorter_way(steps[b][None] - steps[a][:, None]))
+                through = cost[:, None] + between[a, b]
                 chosen.append(through.argmin(axis=0))
                 cost = through.min(axis=0)
-            cost = cost + self._transfer(p_WT, steps[order[-1]][:, :5])
-            picks = [int(cost.argmin())]
+            picks = [int((cost + ends[order[-1]]).argmin())]
             for back in reversed(chosen):
                 picks.append(int(back[picks[-1]]))
-            plan = self._turned(p_WT, [steps[o][j] for o, j in zip(order, reversed(picks), strict=True)])
-            if plan is not None and (best is None or plan.cost < best.cost - 1e-9):
-                best = plan
-        return best
+            poses = [steps[o][j] for o, j in zip(order, reversed(picks), strict=True)]
+            found += self._turned(p_WT, np.array(poses), halves)
+        return sorted(found, key=lambda plan: plan.cost)[:1]
 
-    def _turned(self, p_WT: Array, poses: list[Array]) -> _Plan | None:
-        """The last joint taken round the shorter way from view to view, starting where it moves least.
-
-        Half a turn of the tool exchanges the two fingers and shows the same.
-        """
-        q = np.array(poses)
+    def _turned(self, p_WT: Array, q: Array, halves: list[int]) -> list[_Plan]:
+        """Plans with the last joint taken round the shorter way from one view (row of q) to the next."""
         q[1:, 5] = q[0, 5] + np.cumsum(_shorter_way(np.diff(q, axis=0))[:, 5])
-        best: _Plan | None = None
+        turning = float(_turn_time(np.diff(q, axis=0)).sum())
+        plans = []
         for half_turns in range(-4, 5):
-            turned = q + [0, 0, 0, 0, 0, np.pi * half_turns]
-            if np.abs(turned[:, 5]).max() > Q_MAX[5] - 0.2:
+            turned = q.copy()
+            turned[:, 5] -= np.pi * half_turns
+            if half_turns % 2 not in halves or np.abs(turned[:, 5]).max() > Q_MAX[5] - 0.2:
                 continue
-            cost = float(_turn_time(np.diff(turned, axis=0)).sum())
-            cost += float(self._transfer(p_WT, turned[[0, -1]]).sum())
-            if best is None or cost < best.cost:
-                best = _Plan(cost, tuple(View(v, self._planner.kinematics.X_WT(v)) for v in turned))
-        return best
+            cost = turning + float(self._transfer(p_WT, turned[[0, -1]]).sum())
+            plans.append(_Plan(cost, turned))
+        return plans
 
     def _transfer(self, p_WT: Array, q: Array) -> Array:
         """Rough mean time (K,) [s] between the pick window and the first J joints (K, J) at p_WT.
@@ -193,18 +218,18 @@ class ViewSearch:
         out: Array = np.mean([np.maximum(way / cap, joints).mean(axis=1) for cap in caps], axis=0)
         return out
 
-    def _connected(self, views: tuple[View, ...]) -> bool:
-        """The planner finds its way from the window through the views to the bin."""
+    def _planned(self, plan: _Plan) -> _Plan | None:
+        """The plan with its true time, from above the belt and back, or on to the bin; None if impossible."""
         planner, radius = self._planner, self._config.onions.diameter[1] / 2
-        q_drop = planner.kinematics.ik_near(planner.drop_pose(views[-1].q), views[-1].q)
-        stops = [self._near, *(v.q for v in views), q_drop]
-        speed = self._config.motion.collaborative_speed
+        last, speed = plan.q[-1], self._config.motion.collaborative_speed
+        cost = 0.0
         try:
-            for a, b in pairwise(stops):
-                planner.plan_joints(a, b, speed, held_radius=radius)
+            for a, b in pairwise([self._near, *plan.q, self._near]):
+                cost += planner.plan_joints(a, b, speed, held_radius=radius).duration
+            planner.plan_to_pose(last, planner.drop_pose(last), speed, held_radius=radius)
         except PlanError:
-            return False
-        return True
+            return None
+        return _Plan(cost, plan.q)
 
     def _in_image(self, p_W: Array) -> bool:
         p_C = self._X_WC[:3, :3].T @ (p_W - self._X_WC[:3, 3])

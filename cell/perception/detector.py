@@ -55,7 +55,15 @@ class Detector:
         options.intra_op_num_threads = threads
         options.inter_op_num_threads = 1
         options.log_severity_level = 3
-        self._session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+        try:
+            self._session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+            levels = self._session.run(None, {"image": np.zeros((1, 3, 64, 64), np.float32)})
+        except Exception as error:  # onnxruntime's errors share no narrower base
+            reason = " ".join(str(error).split())[:200]
+            raise PerceptionError(f"detector weights {path} do not fit ({reason}); {_RETRAIN}") from None
+        shapes = [level.shape for level in levels]
+        if shapes != [(1, 7, 64 // s, 64 // s) for s in STRIDES] or not all(np.isfinite(v).all() for v in levels):
+            raise PerceptionError(f"detector weights {path} are not this network's; {_RETRAIN}")
 
     def detect(self, rgb: NDArray[np.uint8]) -> tuple[tuple[Box, float], ...]:
         """Onions in an image, the most certain first.

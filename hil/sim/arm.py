@@ -15,7 +15,7 @@ from cell.frames import Array
 from hil.sim.physics import bullet
 from urdf import JOINT_NAMES
 
-_POSITION_GAIN = 0.3
+_POSITION_GAIN = 0.1
 _VELOCITY_GAIN = 1.0
 _TORQUE = (54.0, 54.0, 28.0, 9.0, 9.0, 9.0)
 """Largest joint torques [Nm] (urdf/SOURCES.md)."""
