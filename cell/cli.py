@@ -61,6 +61,12 @@ def run(
     for file in (json_file, record):
         if file is not None and not file.resolve().parent.is_dir():
             raise ConfigError(f"the folder of {file} does not exist")
+        if file is not None and file.is_dir():
+            raise ConfigError(f"{file} is a folder; give the name of a file")
+    if record is not None:
+        from cell.record.mcap_writer import check_target
+
+        check_target(record)
     cell_config = load(config)
     table = load_policy(policy)
 

@@ -36,12 +36,12 @@ def main() -> int:
     try:
         config = _read_config()
         backend = make_backend(args.backend, config, seed=args.seed, onions=args.onions)
-        backend.connect()
-        try:
-            with Session.listen(config, patient=args.lock_step) as session:
+        with Session.listen(config, patient=args.lock_step) as session:  # a port in use shows at once
+            try:
+                backend.connect()
                 _serve(Node(config, backend, session, lock_step=args.lock_step))
-        finally:
-            backend.close()
+            finally:
+                backend.close()
     except CellError as error:
         print(f"{' '.join(str(error).split())}", file=sys.stderr)
         return 2

@@ -2,11 +2,14 @@
 
 The running trajectory is followed by a path clock tau that normally keeps real time. A stop, or
 a lower speed scaling of the controller, slows that clock down: position stays on the path
-(q = q(tau)), speed is rate * q'(tau), and each tick takes the lowest rate whose change of joint
-speeds the acceleration limits allow.
+(q = q(tau)), speed is rate * q'(tau), and each tick takes the rate nearest to the wanted one
+whose change of joint speeds the acceleration limits allow. A seam is a place on the path, not
+a time of day: a replacement announced before the path clock was slowed is met all the same.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -19,9 +22,13 @@ _START_TOLERANCE = 0.02
 """A motion from rest may start this far from set-point and measured joints [rad]."""
 _SEAM_POSITION, _SEAM_SPEED = 1e-3, 1e-2
 """How well a replacement must match the running trajectory [rad], [rad/s]."""
+_REST_SPEED = 0.05
+"""Slower joints count as resting when the set-point is put where they are [rad/s]."""
 _CANDIDATES = 33
 _MAX_RATE_CHANGE = 25.0
 """Fastest change of the path clock's rate [1/s]."""
+_SAME_TIME = 1e-9
+"""Times nearer than this are one [s]."""
 
 
 class Executor:
@@ -29,14 +36,23 @@ class Executor:
 
     Args:
         limits: of the arm. period: of the control loop [s]. q: joint angles at rest (6,) [rad].
+
+    Attributes:
+        q, qd: present set-point, shape (6,) [rad], [rad/s].
+        trajectory_id: of the running trajectory, or of the last one; 0 before the first.
+        progress: 0..1 along it, in time.
+        stopped: a stop is latched and the arm has come to rest on its path.
+        stop_reason: why; set as soon as the stop begins, empty after `resume`.
     """
 
     def __init__(self, limits: Limits, period: float, q: Array) -> None:
         self._limits, self._period = limits, period
         self._running: Trajectory | None = None
         self._next: Trajectory | None = None
+        self._seam = 0.0
         self._tau = 0.0
         self._rate = 1.0
+        self._last_id = 0
         self._stopping = False
         self.q, self.qd = np.array(q, float), np.zeros(6)
         self.trajectory_id = 0
@@ -52,6 +68,10 @@ class Executor:
     def accept(self, trajectory: Trajectory, now: float, q: Array) -> None:
         """Take a trajectory: at once from rest (start 0), or as a replacement at a seam.
 
+        A second replacement takes the place of the first one that still waits. Measured speed is
+        not asked for: the joints follow a resting set-point with a lag, and still move a little
+        when the next motion may begin.
+
         Args:
             now: node time [s]. q: measured joints (6,) [rad].
 
@@ -59,48 +79,57 @@ class Executor:
             RefusedError: it is late, breaks a limit, does not fit what the arm does, or a stop
                 is latched.
         """
-        if self.stopped or self._stopping:
+        if self.stop_reason:
             raise _refused(RefusalCode.STOPPED, f"{self.stop_reason}; send resume first")
+        if not (math.isfinite(trajectory.start) and math.isfinite(trajectory.expires)):
+            raise _refused(RefusalCode.NOT_FINITE, "start and expiry must be finite times")
         if now > trajectory.expires:
             raise _refused(RefusalCode.STALE, f"it expired {now - trajectory.expires:.3f} s ago")
-        if trajectory.id <= self.trajectory_id:
+        if trajectory.id <= self._last_id:
             raise _refused(
-                RefusalCode.STALE, f"id {trajectory.id} is not above the last one, {self.trajectory_id}"
+                RefusalCode.STALE, f"id {trajectory.id} is not above the last one, {self._last_id}"
             )
         check_trajectory(trajectory, self._limits)
-        if trajectory.start > 0.0:
-            self._check_seam(trajectory, now)
-            self._next = trajectory
-            return
-        if self.moving:
-            raise _refused(RefusalCode.SEAM, "the arm is moving; give the start time of a seam")
-        for what, at in (("set-point", self.q), ("measured position", q)):
-            gap = float(np.abs(trajectory.q[0] - at).max())
-            if gap > _START_TOLERANCE:
-                raise _refused(RefusalCode.SEAM, f"it starts {gap:.3f} rad away from the arm's {what}")
-        if np.abs(trajectory.qd[0]).max() > 1e-6:
-            raise _refused(RefusalCode.SEAM, "a motion from rest must start at rest")
-        self._start(trajectory, 0.0)
+        if trajectory.start != 0.0:
+            seam = self._check_seam(trajectory, now)
+            self._next, self._seam = trajectory, seam
+        else:
+            self._check_start(trajectory, q)
+            self._running, self._tau, self._rate = trajectory, 0.0, 1.0
+            self.trajectory_id, self.progress = trajectory.id, 0.0
+        self._last_id = trajectory.id
 
     def stop(self, reason: str) -> None:
-        """Brake on the path and latch; harmless when stopped already."""
-        if not self.stopped and not self._stopping:
-            self.stop_reason = reason
+        """Brake on the path and latch; when a stop is latched already its reason stands."""
+        if not self.stop_reason:
+            self.stop_reason = reason or "stopped"
             self._next = None
             self._stopping = self.moving
             self.stopped = not self.moving
 
-    def resume(self, q: Array) -> None:
-        """Lift a latched stop; the set-point becomes the measured joints q (6,) [rad].
+    def resume(self, q: Array, qd: Array) -> None:
+        """Lift a latched stop; the set-point becomes the measured joints. Starts no motion.
+
+        Args:
+            q, qd: measured joints, shape (6,) [rad], [rad/s].
 
         Raises:
-            RefusedError: the arm is still braking.
+            RefusedError: the arm is still braking, or its joints have not come to rest yet.
         """
         if self._stopping:
             raise _refused(RefusalCode.STOPPED, "the arm is still braking")
-        if self.stopped:
-            self.stopped, self.stop_reason = False, ""
-            self.q, self.qd = np.array(q, float), np.zeros(6)
+        if not self.stopped:
+            return
+        fastest = float(np.abs(qd).max())
+        if fastest > _REST_SPEED:
+            raise _refused(RefusalCode.STOPPED, f"the joints still move at {fastest:.3f} rad/s")
+        self.stopped, self.stop_reason = False, ""
+        self.q, self.qd = np.array(q, float), np.zeros(6)
+        self.trajectory_id, self.progress = 0, 0.0
+
+    def forget_ids(self) -> None:
+        """Another commander takes over: its ids rise from where it likes."""
+        self._last_id = 0
 
     def tick(self, now: float, speed_scaling: float = 1.0) -> tuple[Array, Array]:
         """Set-point q [rad], qd [rad/s] for the end of the period that starts at `now` [s].
@@ -108,36 +137,30 @@ class Executor:
         Args:
             speed_scaling: the controller's own ratio 0..1; the path clock follows it.
         """
-        end = now + self._period
-        if self._next is not None and end >= self._next.start - 1e-9:
-            nxt, self._next = self._next, None
-            self._start(nxt, end - nxt.start - self._period)
-        if self._running is None:
-            return self.q, self.qd
-        target = 0.0 if self._stopping else float(np.clip(speed_scaling, 0.0, 1.0))
-        self._advance(self._running, target)
+        del now  # the path clock counts periods, so that it stands still when the loop does
+        if self._running is not None:
+            scaling = float(np.clip(speed_scaling, 0.0, 1.0)) if math.isfinite(speed_scaling) else 0.0
+            self._advance(self._running, 0.0 if self._stopping else scaling)
         return self.q, self.qd
 
     # -- internals ------------------------------------------------------------------------------
 
-    def _start(self, trajectory: Trajectory, tau: float) -> None:
-        self._running, self._tau, self._rate = trajectory, tau, 1.0
-        self.trajectory_id, self.progress = trajectory.id, 0.0
-
     def _advance(self, running: Trajectory, target: float) -> None:
-        rate, tau, q, qd = self._rate, self._tau, self.q, self.qd
-        if rate == target == 1.0:
-            tau += self._period
-            q, qd, _ = hermite(running.times, running.q, running.qd, tau)
+        if self._rate == target == 1.0:
+            self._tau += self._period
+            self.q, self.qd = self._path(running, self._tau)
         else:
-            rate, tau, q, qd = self._change_rate(running, target)
-        self._rate, self._tau, self.q, self.qd = rate, tau, q, qd
+            self._rate, self._tau, self.q, self.qd = self._change_rate(running, target)
+        if self._next is not None and self._tau >= self._seam - _SAME_TIME:
+            running = self._running = self._next
+            self._tau, self._next = max(0.0, self._tau - self._seam), None
+            self.trajectory_id = running.id
         duration = float(running.times[-1])
-        self.progress = min(1.0, tau / duration)
-        if tau >= duration - 1e-9:
-            self.q, self.qd, self.progress = running.q[-1].copy(), np.zeros(6), 1.0
+        self.progress = min(1.0, self._tau / duration)
+        if self._tau >= duration - _SAME_TIME and self._next is None:
+            self.q, self.progress = running.q[-1].copy(), 1.0
             self._end()
-        elif self._stopping and rate == 0.0:
+        elif self._stopping and self._rate == 0.0:
             self._end()
 
     def _end(self) -> None:
@@ -145,6 +168,13 @@ class Executor:
         self.qd = np.zeros(6)
         if self._stopping:
             self._stopping, self.stopped = False, True
+
+    def _path(self, running: Trajectory, tau: float) -> tuple[Array, Array]:
+        """q [rad] and dq/dtau [rad/s] at path time tau [s], beyond a seam that waits too."""
+        if self._next is not None and tau >= self._seam - _SAME_TIME:
+            running, tau = self._next, max(0.0, tau - self._seam)
+        q, slope, _ = hermite(running.times, running.q, running.qd, tau)
+        return q, slope
 
     def _change_rate(self, running: Trajectory, target: float) -> tuple[float, float, Array, Array]:
         """The rate nearest to `target` whose change of joint speeds the limits allow."""
@@ -155,7 +185,7 @@ class Executor:
             rate = float(wanted + share * (self._rate - wanted))
             rate = 0.0 if rate < 1e-3 and target == 0.0 else rate
             tau = self._tau + 0.5 * (self._rate + rate) * self._period
-            q, slope, _ = hermite(running.times, running.q, running.qd, tau)
+            q, slope = self._path(running, tau)
             qd = rate * slope
             excess = float((np.abs(qd - self.qd) / (self._limits.qdd_max * self._period)).max())
             choice = (rate, tau, q, qd)
@@ -166,8 +196,19 @@ class Executor:
         assert best is not None
         return best[1]
 
-    def _check_seam(self, trajectory: Trajectory, now: float) -> None:
-        """A replacement must meet the running trajectory, later than now, at full rate."""
+    def _check_start(self, trajectory: Trajectory, q: Array) -> None:
+        """A motion from rest must begin where the arm is, and at rest."""
+        if self.moving:
+            raise _refused(RefusalCode.SEAM, "the arm is moving; give the start time of a seam")
+        for what, at in (("set-point", self.q), ("measured position", q)):
+            gap = float(np.abs(trajectory.q[0] - at).max())
+            if not gap <= _START_TOLERANCE:
+                raise _refused(RefusalCode.SEAM, f"it starts {gap:.3f} rad away from the arm's {what}")
+        if np.abs(trajectory.qd[0]).max() > 1e-6:
+            raise _refused(RefusalCode.SEAM, "a motion from rest must start at rest")
+
+    def _check_seam(self, trajectory: Trajectory, now: float) -> float:
+        """Path time of the seam: where the running trajectory will be when the new one starts."""
         if self._running is None:
             raise _refused(RefusalCode.SEAM, "nothing is running; a motion from rest has start 0")
         if self._rate != 1.0:
@@ -184,6 +225,7 @@ class Executor:
                 f"at its start it is {gap:.4f} rad and {jump:.4f} rad/s off the running trajectory; "
                 f"at most {_SEAM_POSITION} rad and {_SEAM_SPEED} rad/s are allowed",
             )
+        return tau
 
 
 def _refused(code: RefusalCode, reason: str) -> RefusedError:

@@ -9,8 +9,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from cell.decision import policy
 
 CELL = [sys.executable, "-m", "cell.cli"]
@@ -37,9 +35,11 @@ def nodes(port: int) -> list[int]:
             continue
         try:
             command = (entry / "cmdline").read_bytes().split(b"\0")
-            if b"hil" in command and b"-m" in command and f"CELL_TEST={port}".encode() in (
-                entry / "environ"
-            ).read_bytes().split(b"\0"):
+            if (
+                b"hil" in command
+                and b"-m" in command
+                and f"CELL_TEST={port}".encode() in (entry / "environ").read_bytes().split(b"\0")
+            ):
                 out.append(int(entry.name))
         except OSError:
             continue
@@ -71,11 +71,20 @@ def refused(folder: Path, *args: object, config: str = "", **env: str) -> str:
 
 
 def test_help_names_the_commands_and_disclaims_safety() -> None:
-    run = cell("--help")
+    run = cell("--help", COLUMNS="200")
     assert run.returncode == 0 and run.stderr == ""
     assert "run" in run.stdout and "doctor" in run.stdout and "Not a safety-rated system" in run.stdout
     run_help = cell("run", "--help", COLUMNS="200")
-    for option in ("--backend", "--policy", "--onions", "--seed", "--headless", "--json", "--record", "--config"):
+    for option in (
+        "--backend",
+        "--policy",
+        "--onions",
+        "--seed",
+        "--headless",
+        "--json",
+        "--record",
+        "--config",
+    ):
         assert option in run_help.stdout, option
 
 
@@ -106,7 +115,11 @@ def test_a_policy_that_is_missing_incomplete_or_garbled(tmp_path: Path) -> None:
     for name, content, words in [
         ("none.csv", None, "No such file"),
         ("lacking.csv", "\n".join(good[:-1]), "no row for"),
-        ("garbled.csv", "\n".join([*good[:5], good[5].replace(good[5].split(",")[6], "dance"), *good[6:]]), "line 6"),
+        (
+            "garbled.csv",
+            "\n".join([*good[:5], good[5].replace(good[5].split(",")[6], "dance"), *good[6:]]),
+            "line 6",
+        ),
         ("bytes.csv", b"\xff\x00\xfe\x80", "not a text file"),
     ]:
         path = tmp_path / str(name)
@@ -136,7 +149,7 @@ def test_wrong_words_are_answered_by_the_option_parser() -> None:
 
 def test_files_that_could_not_be_written_are_refused_before_the_round(tmp_path: Path) -> None:
     """Nobody should wait for a round to learn that its result cannot be kept."""
-    assert "folder" in refused(tmp_path, "--json", tmp_path)
+    assert "is a folder" in refused(tmp_path, "--json", tmp_path)
     notes = tmp_path / "notes.mcap"
     notes.write_text("not a recording")
     assert ".mcap" in refused(tmp_path, "--record", tmp_path / "r.bag")
@@ -147,7 +160,7 @@ def test_a_configuration_that_cannot_be_used(tmp_path: Path) -> None:
     for text, words in [
         ("colour: red\n", "unknown key 'colour'"),
         ("bin: {center: [0.0, 1.5, -0.1]}\n", "bin.center"),
-        ("onions: {spacing: 0.5}\n", ""),
+        ("onions: {spacing: 0.5}\n", "9 onions do not fit"),
         ("detector: /nonexistent/w.safetensors\n", "detector weights /nonexistent/w.safetensors are missing"),
     ]:
         args = ("--onions", 9) if "spacing" in text else ()
@@ -167,11 +180,10 @@ def test_a_port_that_is_taken(tmp_path: Path) -> None:
     assert nodes(port) == []
 
 
-@pytest.mark.parametrize("renderer", ["gl"])
-def test_a_renderer_that_cannot_work_here(tmp_path: Path, renderer: str) -> None:
+def test_a_renderer_that_cannot_work_here(tmp_path: Path) -> None:
     """A machine without EGL drivers, made by hiding their registry."""
-    said = refused(tmp_path, config=f"renderer: {renderer}\n", **NO_EGL)
-    assert "EGL" in said and "tiny" in said
+    said = refused(tmp_path, config="renderer: gl\n", **NO_EGL)
+    assert "EGL" in said and "apt-get install" in said
 
 
 NO_EGL = {"__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent", "__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent"}
@@ -184,7 +196,9 @@ def test_the_doctor_finds_this_machine_well_and_names_what_is_missing(tmp_path: 
     file, _ = overlay(tmp_path)
     well = cell("doctor", "--config", file)
     assert well.returncode == 0, well.stdout
-    assert all(word in well.stdout for word in ("python", "packages", "reach", "detector", "port", "renderer"))
+    assert all(
+        word in well.stdout for word in ("python", "packages", "reach", "detector", "port", "renderer")
+    )
     file, _ = overlay(tmp_path, "detector: /nonexistent/w.safetensors\n")
     ill = cell("doctor", "--config", file, COLUMNS="300", **NO_EGL)
     assert ill.returncode == 1 and "Traceback" not in ill.stderr

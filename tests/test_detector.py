@@ -100,7 +100,7 @@ def spoilt(folder: Path) -> list[Path]:
         paths.append(folder / f"{name}.safetensors")
         paths[-1].write_bytes(data)
     lacking = {k: v for k, v in state().items() if not k.startswith("head16")}
-    wrong = {**state(), "stem.0.weight": np.zeros((16, 3, 5, 7), np.float32)}
+    wrong = {**state(), "stem.0.weight": np.zeros((16, 4, 3, 3), np.float32)}
     for name, values in (("lacking", lacking), ("shape", wrong)):
         paths.append(folder / f"{name}.safetensors")
         save_file({k: np.ascontiguousarray(v) for k, v in values.items()}, paths[-1])

@@ -120,9 +120,7 @@ def test_a_box_over_the_images_edge_still_works() -> None:
     shift = 0.25 * (x1 - x0)
     columns = round(x0 + shift)
     cut = depth[:, columns:]  # the onion's left quarter is outside
-    camera = Pinhole(
-        cut.shape[1], cut.shape[0], PINHOLE.fx, PINHOLE.fy, PINHOLE.cx - columns, PINHOLE.cy
-    )
+    camera = Pinhole(cut.shape[1], cut.shape[0], PINHOLE.fx, PINHOLE.fy, PINHOLE.cx - columns, PINHOLE.cy)
     whole = locate(box, depth, PINHOLE, X_WC)
     part = locate(Box((x0 - columns, y0, x1 - columns, y1), box.label, 0.9), cut, camera, X_WC)
     assert whole is not None and part is not None

@@ -139,7 +139,11 @@ def test_a_weak_grip_with_slippery_pads_drops_it(backend: SimBackend) -> None:
     world = backend.world
     for finger in ("left_finger_joint", "right_finger_joint"):
         bullet.changeDynamics(
-            world.robot, world.joints[finger], lateralFriction=0.02, frictionAnchor=0, physicsClientId=world.client
+            world.robot,
+            world.joints[finger],
+            lateralFriction=0.02,
+            frictionAnchor=0,
+            physicsClientId=world.client,
         )
     bullet.changeDynamics(world.onion_bodies[0], -1, lateralFriction=0.1, frictionAnchor=0, physicsClientId=world.client)  # fmt: skip
     hand, p_WO = over_onion(backend)
@@ -198,7 +202,9 @@ def test_the_arm_follows_with_the_configured_lag(backend: SimBackend) -> None:
         backend.advance()
         measured.append(backend.read_joints().q - home)
     lags = np.arange(0.0, 0.08, 0.001)
-    fit = [np.abs(np.array(measured)[60:] - np.outer(target(times - lag)[0][60:], shape)).max() for lag in lags]
+    fit = [
+        np.abs(np.array(measured)[60:] - np.outer(target(times - lag)[0][60:], shape)).max() for lag in lags
+    ]
     assert lags[int(np.argmin(fit))] == pytest.approx(CONFIG.arm.lag, abs=0.008)
     assert min(fit) < 0.004
 

@@ -1,8 +1,8 @@
 """Collision-checked motions between the few kinds of poses that sorting needs.
 
 A transfer takes the quickest of the direct routes (straight for the joints, straight for the
-tool, round the base) that keep clear of everything, else the first detour that does. All is
-tried in a fixed order, so the same request always gives the same motion.
+tool, round the base) that keep clear of everything, else the first detour that does, else a way
+through a net of poses. All is tried in a fixed order: the same request gives the same motion.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from cell.limits import Q_MAX, tcp_positions
 from cell.motion.collision import CollisionModel
 from cell.motion.kinematics import Kinematics
 from cell.motion.paths import JointPath
+from cell.motion.roadmap import Roadmap
 from cell.motion.routes import Routes
 from cell.motion.timing import TimedPath, time_path
 
@@ -33,6 +34,8 @@ _CORNERS = (0.04, 0.015)
 """How far from its corner an approach may begin to turn down, tried in this order [m]."""
 _ROUNDED_STEP, _DESCENT_STEP = 0.15, 0.02
 """Spacing of an approach's waypoints before and after its corner [rad], [m]."""
+_SUBDIVISIONS = (1, 3, 8)
+"""Into how many pieces the moves of a way through the roadmap are cut, tried in this order."""
 _DROP_YAWS = np.linspace(-np.pi / 2, np.pi / 2, 12, endpoint=False)
 
 
@@ -44,6 +47,7 @@ class Planner:
         self.kinematics = Kinematics(config)
         self.collision = CollisionModel(config)
         self._routes = Routes(config, self.kinematics)
+        self._roadmap = Roadmap(config, self.kinematics, self.collision)
 
     # -- poses ----------------------------------------------------------------------------------
 
@@ -120,6 +124,13 @@ class Planner:
             return min(direct, key=lambda timed: timed.duration)
         for route in self._routes.detours(q_from, q_to):
             if found := self._timed([route], speed_cap, held_radius, touched):
+                return found[0]
+        way = np.array(self._roadmap.way(q_from, q_to, held_radius))
+        for pieces in _SUBDIVISIONS if len(way) else ():
+            # More waypoints on the straight moves keep the curve nearer to them.
+            at = np.linspace(0, len(way) - 1, pieces * (len(way) - 1) + 1)
+            route = np.stack([np.interp(at, np.arange(len(way)), way[:, j]) for j in range(6)], axis=1)
+            if found := self._timed([list(route)], speed_cap, held_radius, touched):
                 return found[0]
         what = ", ".join(dict.fromkeys(touched))
         raise PlanError(f"no way found between two arm poses that keeps clear of the cell ({what})")
