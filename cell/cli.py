@@ -17,6 +17,7 @@ app = typer.Typer(
     help="Cell controller for human-robot sorting with a UR3e. Not a safety-rated system.",
     no_args_is_help=True,
     add_completion=False,
+    rich_markup_mode=None,  # plain help needs no rich, and answers in a fraction of the time
     pretty_exceptions_enable=False,
 )
 
@@ -75,8 +76,12 @@ def run(
 
     console = Console(stderr=True)
     options = RoundOptions(backend, lock_step=headless, seed=seed, onions=onions, record=record)
-    with Progress(console, onions, cell_config.gripper.length) as progress:
-        result = run_round(cell_config, table, options, progress)
+    try:
+        with Progress(console, onions, cell_config.gripper.length) as progress:
+            result = run_round(cell_config, table, options, progress)
+    except KeyboardInterrupt:  # here, because what the option parser makes of it varies
+        print("cell: interrupted; the arm was stopped on its path", file=sys.stderr)
+        raise typer.Exit(INTERRUPTED) from None
     summary(console, result)
     if json_file is not None:
         result.write(json_file)
@@ -107,7 +112,6 @@ def main() -> NoReturn:
         print(f"cell: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(BAD_INPUT)
     except KeyboardInterrupt:
-        print("cell: interrupted; the arm was stopped on its path", file=sys.stderr)
         sys.exit(INTERRUPTED)
     sys.exit(0)
 

@@ -189,7 +189,8 @@ class Node:
 
     def _on_resume(self, resume: Resume) -> Reply:
         self._lease.require(resume.holder)
-        self._executor.resume(self._backend.read_joints().q)
+        joints = self._backend.read_joints()
+        self._executor.resume(joints.q, joints.qd)
         return Reply(True)
 
     def _on_gripper(self, command: GripperCommand) -> Reply:

@@ -137,7 +137,8 @@ from pathlib import Path
 from cell.perception.detector import Detector
 from tests.test_detector import image
 detector = Detector(Path(sys.argv[1]))
-print(detector._session.run(None, {"image": image().transpose(2, 0, 1)[None].astype("float32") / 255})[0].tobytes().hex())
+x = image().transpose(2, 0, 1)[None].astype("float32") / 255
+print(detector._session.run(None, {"image": x})[0].tobytes().hex())
 """
 
 

@@ -31,7 +31,7 @@ def smooth(seed: int, *, spacing: float = PERIOD, number: int = 1, share: float 
     """A random smooth motion from home, rest to rest, as fast as `share` of the limits permits."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(4, 8))
-    knots = HOME + np.cumsum(rng.uniform(-0.25, 0.25, (n, 6)), axis=0)
+    knots = HOME + rng.uniform(-0.5, 0.5, (n, 6))
     knots[0] = HOME
     spline = CubicSpline(np.linspace(0.0, 1.0, n), knots, bc_type="clamped")
     fine = np.linspace(0.0, 1.0, 2001)

@@ -24,7 +24,9 @@ def directions() -> Array:
     """Unit vector of each texel: row 0 at the neck (+z), columns by longitude."""
     rows, columns = TEXTURE_SHAPE
     theta, phi = np.meshgrid(
-        (np.arange(rows) + 0.5) / rows * np.pi, (np.arange(columns) + 0.5) / columns * 2 * np.pi, indexing="ij"
+        (np.arange(rows) + 0.5) / rows * np.pi,
+        (np.arange(columns) + 0.5) / columns * 2 * np.pi,
+        indexing="ij",
     )
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
 

@@ -64,7 +64,8 @@ def two_rounds() -> tuple[Path, list[subprocess.CompletedProcess[str]]]:
         command = [*CELL, "run", "--headless", "--onions", "2", "--seed", str(SEED), "--config", str(file)]
         command += ["--json", str(folder / f"{name}.json"), *extra]
         env = {**os.environ, "CELL_TEST": str(port), "OMP_NUM_THREADS": "1"}
-        runs.append((port, subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env)))  # fmt: skip
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        runs.append((port, subprocess.Popen(command, text=True, env=env, **pipes)))
     done = []
     for port, run in runs:
         out, err = run.communicate(timeout=120)

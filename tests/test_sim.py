@@ -19,6 +19,7 @@ from hil.backend import make_backend
 from hil.sim.backend import SimBackend
 from hil.sim.physics import bullet
 from hil.sim.world import ONION_LABEL
+from urdf import FINGER_JOINT_NAMES
 
 CONFIG = load()
 PERIOD = CONFIG.arm.control_period
@@ -67,7 +68,7 @@ class Hand:
 
 
 def downward(p: Array, up: float = 0.0) -> Array:
-    return pose(rot_x(np.pi), p + [0.0, 0.0, up])
+    return pose(rot_x(np.pi), p + np.array([0.0, 0.0, up]))
 
 
 @pytest.fixture
@@ -137,15 +138,11 @@ def test_an_open_hand_lets_go(backend: SimBackend) -> None:
 def test_a_weak_grip_with_slippery_pads_drops_it(backend: SimBackend) -> None:
     """Nothing glues the onion to the hand: friction is what holds it, and here there is none to speak of."""
     world = backend.world
-    for finger in ("left_finger_joint", "right_finger_joint"):
+    parts = [(world.robot, world.joints[name], 0.02) for name in FINGER_JOINT_NAMES]
+    for body, link, friction in [*parts, (world.onion_bodies[0], -1, 0.1)]:
         bullet.changeDynamics(
-            world.robot,
-            world.joints[finger],
-            lateralFriction=0.02,
-            frictionAnchor=0,
-            physicsClientId=world.client,
+            body, link, lateralFriction=friction, frictionAnchor=0, physicsClientId=world.client
         )
-    bullet.changeDynamics(world.onion_bodies[0], -1, lateralFriction=0.1, frictionAnchor=0, physicsClientId=world.client)  # fmt: skip
     hand, p_WO = over_onion(backend)
     hand.grip(0.0, force=CONFIG.gripper.min_force)
     hand.move(downward(p_WO, 0.15), duration=0.5)
@@ -332,7 +329,7 @@ def test_the_fallback_renderer_sees_the_same_cell() -> None:
 
 
 def test_unknown_backends_are_refused_by_name() -> None:
-    with pytest.raises(ConfigError, match="'kuka'.*legal values: sim"):
+    with pytest.raises(ConfigError, match=r"'kuka'.*legal values: sim"):
         make_backend("kuka", CONFIG)
 
 

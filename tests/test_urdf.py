@@ -115,7 +115,8 @@ def test_pybullet_agrees(tmp_path: Path) -> None:
     try:
         with quiet():
             body = bullet.loadURDF(str(file), useFixedBase=True, physicsClientId=client)
-        info = [bullet.getJointInfo(body, i, physicsClientId=client) for i in range(bullet.getNumJoints(body))]
+        count = bullet.getNumJoints(body, physicsClientId=client)
+        info = [bullet.getJointInfo(body, i, physicsClientId=client) for i in range(count)]
         joint = {row[1].decode(): row[0] for row in info}
         link = {row[12].decode(): row[0] for row in info}
         for q in random_joints(10):

@@ -41,6 +41,7 @@ class Sample:
         rgb: (H, W, 3) uint8. depth: (H, W) float32 [m].
         boxes: (G, 4) float32 x0, y0, x1, y1 [px], outer pixel centres.
         blemish: (G,) int, visible blemished pixels. p_WO: (G, 3) [m]. held: (G,) bool.
+        on_belt: (G,) bool. visible: (G,) share of the whole silhouette that is seen, about 0..1.
     """
 
     rgb: NDArray[np.uint8]
@@ -50,6 +51,7 @@ class Sample:
     p_WO: Array
     held: NDArray[np.bool_]
     on_belt: NDArray[np.bool_]
+    visible: NDArray[np.float64]
 
 
 def generate(count: int, seed: int, randomise: bool) -> list[Sample]:
@@ -98,7 +100,7 @@ def _sample(world, renderer, views, planner, config: CellConfig, rng, randomise:
     if randomise:
         image = _recolour(image, rng)
     rgb, depth = sense(image, camera, rng)
-    return _label(world, image, rgb, depth, held)
+    return _label(world, image, rgb, depth, held, X_WC, pinhole.fx)
 
 
 def _arrange(world, views, planner, config: CellConfig, rng, held: int | None, randomise: bool) -> None:  # type: ignore[no-untyped-def]
@@ -145,9 +147,9 @@ def _arrange(world, views, planner, config: CellConfig, rng, held: int | None, r
         world.set_onion_pose(held, X_WT @ pose(_random_rotation(rng), rng.normal(0, 0.003, 3)))
 
 
-def _label(world, image: Image, rgb, depth, held: int | None) -> Sample:  # type: ignore[no-untyped-def]
+def _label(world, image: Image, rgb, depth, held: int | None, X_WC: Array, fx: float) -> Sample:  # type: ignore[no-untyped-def]
     assert image.marks is not None
-    boxes, blemish, centres, in_hand, on_belt = [], [], [], [], []
+    boxes, blemish, centres, in_hand, on_belt, visible = [], [], [], [], [], []
     for index in range(15):
         mask = image.labels == ONION_LABEL + index
         if int(mask.sum()) < MIN_PIXELS:
@@ -158,6 +160,8 @@ def _label(world, image: Image, rgb, depth, held: int | None) -> Sample:  # type
         centres.append(world.onion_pose(index)[:3, 3])
         in_hand.append(index == held)
         on_belt.append(world.place_of(index) == "belt")
+        distance = float(np.linalg.norm(centres[-1] - X_WC[:3, 3]))
+        visible.append(float(mask.sum()) / (np.pi * (world.onions[index].radius * fx / distance) ** 2))
     return Sample(
         rgb,
         depth,
@@ -166,6 +170,7 @@ def _label(world, image: Image, rgb, depth, held: int | None) -> Sample:  # type
         np.array(centres).reshape(-1, 3),
         np.array(in_hand, bool),
         np.array(on_belt, bool),
+        np.array(visible, float),
     )
 
 

@@ -16,6 +16,8 @@ from cell.wire.types import Box
 
 Detect = Callable[[Any], tuple[tuple[Box, float], ...]]
 CLASSES = ("blemished", "unblemished")
+CLEAR = 0.5
+"""Share of an onion that must be visible for the recall; the rest are slivers behind arm and bin."""
 
 
 def score(detect: Detect, samples: list[Sample], config: CellConfig) -> dict[str, Any]:
@@ -25,7 +27,7 @@ def score(detect: Detect, samples: list[Sample], config: CellConfig) -> dict[str
     X_WC = look_at(camera.position, camera.target)
     ranked: dict[str, list[tuple[float, bool]]] = {name: [] for name in CLASSES}
     truths = dict.fromkeys(CLASSES, 0)
-    onions = found = extra = right = 0
+    onions = found = extra = right = clear = clear_found = 0
     errors: list[float] = []
     for sample in samples:
         detections = detect(sample.rgb)
@@ -53,13 +55,18 @@ def score(detect: Detect, samples: list[Sample], config: CellConfig) -> dict[str
                 )
         onions += len(sample.boxes)
         found += len(taken)
+        seen_well = {i for i, share in enumerate(sample.visible) if share >= CLEAR}
+        clear += len(seen_well)
+        clear_found += len(seen_well & taken)
     precision = {name: _average_precision(ranked[name], truths[name]) for name in CLASSES}
     return {
         "images": len(samples),
         "onions": onions,
         "mAP50": float(np.mean(list(precision.values()))),
         "AP50": precision,
-        "recall": found / max(onions, 1),
+        "recall": clear_found / max(clear, 1),
+        "recall_of": f"{clear} onions of which at least {CLEAR:.0%} is visible",
+        "recall_with_slivers": found / max(onions, 1),
         "extra_boxes": extra,
         "class_right": right / max(found, 1),
         "centre_error_mm": {

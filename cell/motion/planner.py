@@ -129,8 +129,8 @@ class Planner:
         for pieces in _SUBDIVISIONS if len(way) else ():
             # More waypoints on the straight moves keep the curve nearer to them.
             at = np.linspace(0, len(way) - 1, pieces * (len(way) - 1) + 1)
-            route = np.stack([np.interp(at, np.arange(len(way)), way[:, j]) for j in range(6)], axis=1)
-            if found := self._timed([list(route)], speed_cap, held_radius, touched):
+            dense = np.stack([np.interp(at, np.arange(len(way)), way[:, j]) for j in range(6)], axis=1)
+            if found := self._timed([list(dense)], speed_cap, held_radius, touched):
                 return found[0]
         what = ", ".join(dict.fromkeys(touched))
         raise PlanError(f"no way found between two arm poses that keeps clear of the cell ({what})")

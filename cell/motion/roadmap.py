@@ -63,7 +63,7 @@ class Roadmap:
 
     @cached_property
     def _net(self) -> tuple[Array, Array]:
-        """Nodes (K, 6) [rad], and lengths (K, K) of the free moves between them, infinite where there is none."""
+        """Nodes (K, 6) [rad], and lengths (K, K) of the free moves between them, else infinite."""
         home = np.array(self._config.arm.home)
         found = [home]
         for azimuth in _AZIMUTHS:
@@ -134,9 +134,10 @@ def _shortest(
     before = np.full(len(best), -1)
     open_ = np.ones(len(best), dtype=bool)
     while open_.any():
-        i = int(np.argmin(np.where(open_, best, np.inf)))
-        if not np.isfinite(best[i]):
-            break
+        reach = np.where(open_, best, np.inf)
+        i = int(np.argmin(reach))
+        if not np.isfinite(reach[i]):
+            break  # what is left cannot be reached
         open_[i] = False
         through = best[i] + lengths[i]
         better = open_ & (through < best)

@@ -62,7 +62,9 @@ class Detector:
             reason = " ".join(str(error).split())[:200]
             raise PerceptionError(f"detector weights {path} do not fit ({reason}); {_RETRAIN}") from None
         shapes = [level.shape for level in levels]
-        if shapes != [(1, 7, 64 // s, 64 // s) for s in STRIDES] or not all(np.isfinite(v).all() for v in levels):
+        if shapes != [(1, 7, 64 // s, 64 // s) for s in STRIDES] or not all(
+            np.isfinite(v).all() for v in levels
+        ):
             raise PerceptionError(f"detector weights {path} are not this network's; {_RETRAIN}")
 
     def detect(self, rgb: NDArray[np.uint8]) -> tuple[tuple[Box, float], ...]:
