@@ -87,13 +87,13 @@ class Roadmap:
         nodes = nodes[self._collision.clearance(nodes, held_radius=self._held, flying=True) >= _MARGIN]
         lengths = np.full((len(nodes), len(nodes)), np.inf)
         for i, q in enumerate(nodes):
-            distance = self._lengths(q, nodes)
-            near = np.argsort(distance)[1 : _NEIGHBOURS + 1]
+            away_by = self._lengths(q, nodes)
+            near = np.argsort(away_by)[1 : _NEIGHBOURS + 1]
             near = near[np.isinf(lengths[i, near])]
             if not len(near):
                 continue
             near = near[self._free(q, nodes[near], self._held, _MARGIN)]
-            lengths[i, near] = lengths[near, i] = distance[near]
+            lengths[i, near] = lengths[near, i] = away_by[near]
         return nodes, lengths
 
     def _lengths(self, q: Array, nodes: Array) -> Array:
@@ -123,7 +123,8 @@ class Roadmap:
         out: NDArray[np.bool_] = (clear >= np.minimum(least, np.minimum(clear[0], clear[-1])) - 1e-6).all(
             axis=0
         )
-        return out & (clear[-1] >= 0.0)
+        landed: NDArray[np.bool_] = out & (clear[-1] >= 0.0)
+        return landed
 
 
 def _shortest(

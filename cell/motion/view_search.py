@@ -219,17 +219,26 @@ class ViewSearch:
         return out
 
     def _planned(self, plan: _Plan) -> _Plan | None:
-        """The plan with its true time, from above the belt and back, or on to the bin; None if impossible."""
+        """The plan with its true time; None if there is no way.
+
+        From above the belt through all views, then half the time back there, half to the bin,
+        which is on average reached from any of the views.
+        """
         planner, radius = self._planner, self._config.onions.diameter[1] / 2
-        last, speed = plan.q[-1], self._config.motion.collaborative_speed
-        cost = 0.0
+        speed = self._config.motion.collaborative_speed
+
+        def time(a: Array, b: Array) -> float:
+            return planner.plan_joints(a, b, speed, held_radius=radius).duration
+
         try:
-            for a, b in pairwise([self._near, *plan.q, self._near]):
-                cost += planner.plan_joints(a, b, speed, held_radius=radius).duration
-            planner.plan_to_pose(last, planner.drop_pose(last), speed, held_radius=radius)
+            cost = sum(time(a, b) for a, b in pairwise([self._near, *plan.q]))
+            to_bin = [
+                planner.plan_to_pose(q, planner.drop_pose(q), speed, held_radius=radius).duration
+                for q in plan.q
+            ]
+            return _Plan(cost + 0.5 * time(plan.q[-1], self._near) + 0.5 * float(np.mean(to_bin)), plan.q)
         except PlanError:
             return None
-        return _Plan(cost, plan.q)
 
     def _in_image(self, p_W: Array) -> bool:
         p_C = self._X_WC[:3, :3].T @ (p_W - self._X_WC[:3, 3])
