@@ -39,7 +39,7 @@ def smooth(seed: int, *, spacing: float = PERIOD, number: int = 1, share: float 
     slowest = max(
         float((qd / LIMITS.qd_max).max()),
         float(np.sqrt((qdd / LIMITS.qdd_max).max())),
-        float(qd.max()) / 1.2,  # keeps the tool below 1 m/s
+        float(qd.max()) / 0.9,  # keeps the tool below 1 m/s
     )
     duration = slowest / share
     steps = max(2, round(duration / spacing))

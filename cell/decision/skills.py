@@ -276,7 +276,7 @@ class Skills:
     def _grasp_pose(self, grasp: Grasp) -> Array:
         p_WO = grasp.track.p_WO.copy()
         p_WO[2] = max(p_WO[2], self._config.belt.top_z + _FINGERTIP + _BELT_GAP)
-        return self._planner.grasp_pose(p_WO, grasp.yaw)
+        return self._planner.nearer_turn(self._planner.grasp_pose(p_WO, grasp.yaw), self.body.q_rest)
 
     def _reachable(self, grasp: Grasp) -> bool:
         return self._planner.reachable(self._grasp_pose(grasp), self._config.motion.hover)

@@ -40,14 +40,18 @@ _DROP_YAWS = np.linspace(-np.pi / 2, np.pi / 2, 12, endpoint=False)
 
 
 class Planner:
-    """Plans for one cell. All joint angles are (6,) [rad]; poses X_WT (4, 4) are the TCP in the world."""
+    """Plans for one cell. All joint angles are (6,) [rad]; poses X_WT (4, 4) are the TCP in the world.
 
-    def __init__(self, config: CellConfig) -> None:
+    Args:
+        config: the cell. thorough: look for a way through the roadmap where no simple route is free.
+    """
+
+    def __init__(self, config: CellConfig, *, thorough: bool = True) -> None:
         self.config = config
         self.kinematics = Kinematics(config)
         self.collision = CollisionModel(config)
         self._routes = Routes(config, self.kinematics)
-        self._roadmap = Roadmap(config, self.kinematics, self.collision)
+        self._roadmap = Roadmap(config, self.kinematics, self.collision) if thorough else None
 
     # -- poses ----------------------------------------------------------------------------------
 
@@ -125,7 +129,7 @@ class Planner:
         for route in self._routes.detours(q_from, q_to):
             if found := self._timed([route], speed_cap, held_radius, touched):
                 return found[0]
-        way = np.array(self._roadmap.way(q_from, q_to, held_radius))
+        way = np.array(self._roadmap.way(q_from, q_to, held_radius) if self._roadmap else [])
         for pieces in _SUBDIVISIONS if len(way) else ():
             # More waypoints on the straight moves keep the curve nearer to them.
             at = np.linspace(0, len(way) - 1, pieces * (len(way) - 1) + 1)

@@ -9,7 +9,7 @@ share one place, so between them the tool only turns, which no tool speed cap sl
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise, permutations
+from itertools import islice, pairwise, permutations
 
 import numpy as np
 
@@ -39,7 +39,7 @@ _IMAGE_MARGIN = 60.0
 _DISTANCE = (0.40, 0.65)
 _CLEARANCE = 0.02
 _TURNS = np.linspace(0, 2 * np.pi, 12, endpoint=False)
-_PLANS_TRIED = 5
+_PLANS_TRIED, _PLANS_COMPARED = 30, 4
 _ACCELERATION = 7.0
 """Used for comparing motions [rad/s^2]."""
 
@@ -65,7 +65,7 @@ class ViewSearch:
 
     def __init__(self, config: CellConfig) -> None:
         self._config = config
-        self._planner = Planner(config)
+        self._planner = Planner(config, thorough=False)
         camera = config.cameras["belt"]
         self._pinhole = Pinhole.from_hfov(camera.width, camera.height, camera.hfov)
         self._X_WC = look_at(camera.position, camera.target)
@@ -97,11 +97,11 @@ class ViewSearch:
                 halves = [half for j, half in patterns if j == k]
                 for p, axes in places:
                     plans += self._plans(p, axes, PATTERNS[k], halves)
-            best: _Plan | None = None
-            for plan in sorted(plans, key=lambda plan: plan.cost)[:_PLANS_TRIED]:
-                if (true := self._planned(plan)) and (best is None or true.cost < best.cost):
-                    best = true
-            if best is not None:
+            ranked = sorted(plans, key=lambda plan: plan.cost)[:_PLANS_TRIED]
+            possible = (true for plan in ranked if (true := self._planned(plan)) is not None)
+            compared = list(islice(possible, _PLANS_COMPARED))
+            if compared:
+                best = min(compared, key=lambda plan: plan.cost)
                 return tuple(View(q, self._planner.kinematics.X_WT(q)) for q in best.q)
         raise ConfigError(
             "no inspection pose in reach shows a held onion to the belt camera; "

@@ -15,7 +15,7 @@ from cell.frames import Array
 from hil.sim.physics import bullet
 from urdf import JOINT_NAMES
 
-_POSITION_GAIN = 0.1
+_POSITION_GAIN = 0.3
 _VELOCITY_GAIN = 1.0
 _TORQUE = (54.0, 54.0, 28.0, 9.0, 9.0, 9.0)
 """Largest joint torques [Nm] (urdf/SOURCES.md)."""
@@ -28,12 +28,14 @@ class SimArm:
         client: physics client id.
         body: PyBullet body of the robot.
         joints: PyBullet joint index by name.
-        lag: delay [s].
+        lag: delay [s]. step: physics step [s].
         home: joint angles [rad] at which it starts, at rest.
     """
 
-    def __init__(self, client: int, body: int, joints: dict[str, int], lag: float, home: Array) -> None:
-        self._client, self._body, self._lag = client, body, lag
+    def __init__(
+        self, client: int, body: int, joints: dict[str, int], lag: float, step: float, home: Array
+    ) -> None:
+        self._client, self._body, self._lag, self._step = client, body, lag, step
         self._indices = [joints[name] for name in JOINT_NAMES]
         self._setpoints: deque[tuple[float, Array, Array]] = deque()
         self.place(home)
@@ -52,7 +54,10 @@ class SimArm:
 
     def follow(self, t: float) -> None:
         """Drive the motors for the physics step that ends at `t` [s]."""
-        q, qd = self._delayed(t - self._lag)
+        # Bullet's motor compares the position before the step with its target, but gives the speed
+        # that the step ends with; the two targets are a step apart.
+        q, _ = self._delayed(t - self._lag - self._step)
+        _, qd = self._delayed(t - self._lag)
         self._drive(q, qd)
 
     def measure(self) -> tuple[Array, Array, Array]:

@@ -25,6 +25,8 @@ ONION_LABEL = 100
 
 _SLEEP = 0.01
 """Onions slower than this for two seconds sleep until something touches them (Bullet's measure)."""
+_MARGIN = 0.0003
+"""Bullet's collision margin of an onion [m]: with the default one, onions cling to opening fingers."""
 _SETTLE = 1.0
 """Time for dropped onions to come to rest before the round starts [s]."""
 
@@ -55,7 +57,9 @@ class World:
         for fixture in fixtures(config):
             self._add_fixture(fixture.group, fixture.X_WF, fixture.size, fixture.rgba)
         self.robot, self.joints = self._add_robot()
-        self.arm = SimArm(self.client, self.robot, self.joints, config.arm.lag, np.array(config.arm.home))
+        self.arm = SimArm(
+            self.client, self.robot, self.joints, config.arm.lag, self.time_step, np.array(config.arm.home)
+        )
         self.gripper = SimGripper(self.client, self.robot, self.joints, config.gripper)
         self._rng = np.random.default_rng([seed, 0x0410])
         self._add_batch(onions)
@@ -218,7 +222,7 @@ class World:
             self._reference_texture(body, onion)
         bullet.changeDynamics(
             body, -1, lateralFriction=0.8, rollingFriction=0.002, spinningFriction=0.002,
-            linearDamping=0.02, angularDamping=0.1, frictionAnchor=1,
+            linearDamping=0.02, angularDamping=0.1, frictionAnchor=1, collisionMargin=_MARGIN,
             activationState=bullet.ACTIVATION_STATE_ENABLE_SLEEPING, sleepThreshold=_SLEEP, physicsClientId=c,
         )  # fmt: skip
         self.scene.add(
