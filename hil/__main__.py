@@ -2,7 +2,8 @@
 
 It reads its configuration as one line of JSON from standard input, prints "ready" when it
 serves, and ends, with the arm stopped on its path, when standard input closes (its parent is
-gone) or on SIGTERM. Deliberate errors are one line on standard error and exit code 2.
+gone) or on SIGTERM. Deliberate errors are one line on standard error and exit code 2; a backend
+that fails later is one line, too, and exit code 1.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ import signal
 import sys
 import threading
 import warnings
+from contextlib import suppress
 from types import FrameType
 
 from cell.config import CellConfig, from_dict
-from cell.errors import CellError, ConfigError
+from cell.errors import BackendError, CellError, ConfigError
 from cell.wire.session import Session
 from hil.backend import make_backend
 from hil.node import Node
@@ -39,16 +41,16 @@ def main() -> int:
         with Session.listen(config, patient=args.lock_step) as session:  # a port in use shows at once
             try:
                 backend.connect()
-                _serve(Node(config, backend, session, lock_step=args.lock_step))
+                return _serve(Node(config, backend, session, lock_step=args.lock_step))
             finally:
                 backend.close()
     except CellError as error:
-        print(f"{' '.join(str(error).split())}", file=sys.stderr)
-        return 2
-    return 0
+        return _say_why(error, 2)
 
 
-def _serve(node: Node) -> None:
+def _serve(node: Node) -> int:
+    """Run the node until its parent is gone or SIGTERM; 1 when the backend failed."""
+
     def on_term(number: int, frame: FrameType | None) -> None:
         del number, frame
         node.end()
@@ -60,8 +62,18 @@ def _serve(node: Node) -> None:
 
     signal.signal(signal.SIGTERM, on_term)
     threading.Thread(target=watch_parent, name="parent", daemon=True).start()
-    print("ready", flush=True)
-    node.run()
+    with suppress(OSError):  # a parent that died meanwhile shows on standard input
+        os.write(1, b"ready\n")
+    try:
+        node.run()
+    except BackendError as error:
+        return _say_why(error, 1)
+    return 0
+
+
+def _say_why(error: CellError, code: int) -> int:
+    print(" ".join(str(error).split()), file=sys.stderr)
+    return code
 
 
 def _read_config() -> CellConfig:

@@ -2,52 +2,63 @@
 
 from __future__ import annotations
 
+import logging
 import queue
 from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
+from dataclasses import dataclass
 from typing import Any
 
 from cell.errors import CellError, RefusedError
 from cell.limits import RefusalCode
 from cell.wire.types import Reply
 
-_ANSWER_TIME = 30.0
-"""Longest time a command may wait for the loop [s]."""
+_log = logging.getLogger("hil")
+
+
+@dataclass(frozen=True)
+class _Job:
+    handler: Callable[[Any], Any]
+    request: Any
+    answer: Future[Any]
 
 
 class Inbox:
     """Jobs wait here until the one thread that drives the backend takes them.
 
+    A command that waited too long is not done later: its sender has been told so.
+
     Args:
-        on_refusal: told about every refused command, on the wire's thread.
+        on_refusal: told the code and reason of every refused command, on the loop's thread.
+        patience: longest time a command may wait for the loop [s].
     """
 
-    def __init__(self, on_refusal: Callable[[RefusedError], None]) -> None:
-        self._jobs: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None] = queue.SimpleQueue()
+    def __init__(self, on_refusal: Callable[[str, str], None], patience: float) -> None:
+        self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         self._on_refusal = on_refusal
+        self._patience = patience
+        self._closed = False
 
     def wrap(self, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
         """The handler as the wire's threads may call it: queue it, wait, answer."""
 
         def ask(request: Any) -> Any:
-            future: Future[Any] = Future()
-            self._jobs.put((lambda: handler(request), future))
+            job = _Job(handler, request, Future())
+            self._jobs.put(job)
+            if self._closed:
+                self._refuse_waiting()
             try:
-                return future.result(_ANSWER_TIME)
+                return job.answer.result(self._patience)
             except FutureTimeout:
-                return Reply(False, "busy", "the node's loop did not answer in time")
-            except RefusedError as error:
-                refused = error
-            except CellError as error:
-                refused = RefusedError(RefusalCode.BACKEND.value, str(error))
-            self._on_refusal(refused)
-            return Reply(False, refused.code, refused.reason)
+                if job.answer.cancel():
+                    return Reply(False, RefusalCode.BUSY.value, "the node's loop did not answer in time")
+                return job.answer.result()
 
         return ask
 
     def wake(self) -> None:
-        """Let a waiting `work` return."""
+        """Let a waiting `work` return. May be called from a signal handler."""
         self._jobs.put(None)
 
     def work(self) -> None:
@@ -55,20 +66,43 @@ class Inbox:
         self._do(self._jobs.get())
 
     def drain(self) -> None:
-        """Do every job that waits now."""
-        while True:
+        """Do every job that waits now, but not those that come meanwhile."""
+        for _ in range(self._jobs.qsize()):
             try:
-                item = self._jobs.get_nowait()
+                job = self._jobs.get_nowait()
             except queue.Empty:
                 return
-            self._do(item)
+            self._do(job)
 
-    @staticmethod
-    def _do(item: tuple[Callable[[], Any], Future[Any]] | None) -> None:
-        if item is None:
+    def close(self) -> None:
+        """Refuse what waits and whatever comes later."""
+        self._closed = True
+        self._refuse_waiting()
+
+    def _refuse_waiting(self) -> None:
+        while True:
+            try:
+                job = self._jobs.get_nowait()
+            except queue.Empty:
+                return
+            if job is not None and job.answer.set_running_or_notify_cancel():
+                job.answer.set_result(Reply(False, RefusalCode.BUSY.value, "the node is ending"))
+
+    def _do(self, job: _Job | None) -> None:
+        if job is None or not job.answer.set_running_or_notify_cancel():
             return
-        job, future = item
         try:
-            future.set_result(job())
-        except Exception as error:
-            future.set_exception(error)
+            job.answer.set_result(job.handler(job.request))
+        except Exception as error:  # no command may end the loop
+            code, reason = _why(error)
+            self._on_refusal(code, reason)
+            job.answer.set_result(Reply(False, code, reason))
+
+
+def _why(error: Exception) -> tuple[str, str]:
+    if isinstance(error, RefusedError):
+        return error.code, error.reason
+    if isinstance(error, CellError):
+        return RefusalCode.BACKEND.value, str(error)
+    _log.error("a command failed", exc_info=error)
+    return RefusalCode.BACKEND.value, f"{type(error).__name__}: {error}"

@@ -1,24 +1,26 @@
-"""The node: serves one backend on the wire and guards it.
+"""The node: serves one backend on the wire and keeps its time.
 
 All work happens on one thread. Commands arrive on the wire's threads, wait in an inbox and are
-answered when the loop has taken them in. The node owns the trajectory execution, the lease, the
-expiry of commands, the check of limits, and the stop when the supervisor falls silent.
+answered when the loop has taken them in; `hil.guard` decides about them. Three loops:
+
+- lock-step: time moves only by `sim/step`;
+- a steppable backend in real time: simulated time follows wall time. A late cycle (a rendered
+  image takes some 30 ms) is caught up at once, up to `_MAX_CATCH_UP` periods; what is later still
+  is given up, and simulated time falls behind for good;
+- a backend with a cycle of its own: `advance` waits for it, and nothing is ever caught up.
 """
 
 from __future__ import annotations
 
-import math
-import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
-from cell.clock import WallClock
+from cell.clock import Clock, WallClock
 from cell.config import CellConfig
 from cell.errors import BackendError, RefusedError
-from cell.limits import Limits, RefusalCode
+from cell.limits import RefusalCode
 from cell.wire.session import Session
 from cell.wire.types import (
     ArmStatus,
@@ -29,7 +31,6 @@ from cell.wire.types import (
     Frame,
     GripperCommand,
     Heartbeat,
-    Reply,
     ResetRequest,
     Resume,
     StepReply,
@@ -40,267 +41,238 @@ from cell.wire.types import (
     TruthRequest,
 )
 from hil.backend import Backend
-from hil.executor import Executor
+from hil.guard import ERROR, WARN, Guard, check_batch
 from hil.inbox import Inbox
-from hil.lease import Lease
 
 _MAX_STEP = 1000
 _STATUS_TICKS = 5
 """Control periods between two publications of slow states."""
 _MAX_CATCH_UP = 25
-"""Simulated periods done in one go after a late cycle; what is later still is given up."""
+"""Simulated periods done in one go after a late cycle."""
 _END_TIME = 3.0
 """Longest braking when the node is told to end [s]."""
-_WARN = 30
+_PATIENCE, _PATIENCE_LOCK_STEP = 1.5, 30.0
+"""How long a command may wait for the loop [s]; callers in real time give up after 2 s."""
+
+
+class _BackendFailed(BackendError):
+    """Ends the loop."""
 
 
 class Node:
-    """Serves `backend` on `session`.
+    """Serves `backend`, which is connected, on `session`.
 
     Args:
-        lock_step: time moves only by `sim/step`.
+        lock_step: time moves only by `sim/step`; needs a steppable backend.
+        clock: wall time, for the schedule and the heartbeat's deadline.
     """
 
-    def __init__(self, config: CellConfig, backend: Backend, session: Session, *, lock_step: bool) -> None:
+    def __init__(
+        self,
+        config: CellConfig,
+        backend: Backend,
+        session: Session,
+        *,
+        lock_step: bool,
+        clock: Clock | None = None,
+    ) -> None:
+        if lock_step and not backend.steppable:
+            raise BackendError(f"backend {backend.name} cannot run in lock-step: it has a clock of its own")
         self._config, self._backend, self._session = config, backend, session
         self._lock_step = lock_step
-        self._limits = Limits.from_config(config)
-        self._lease = Lease(config.supervisor.heartbeat_deadline)
-        self._inbox = Inbox(self._note_refusal)
-        self._ended = threading.Event()
-        self._clock = WallClock()
-        self._refusal = ""
+        self._clock: Clock = clock or WallClock()
+        self._guard = Guard(config, backend, self._say)
+        self._inbox = Inbox(self._guard.note_refusal, _PATIENCE_LOCK_STEP if lock_step else _PATIENCE)
+        self._ended = False
+        self._failure = ""
         self._ticks = 0
         self._published: ArmStatus | None = None
-        self._executor = self._new_executor()
         self._beats = session.latest(session.keys.heartbeat, Heartbeat)
         self._serve()
 
     def end(self) -> None:
-        """Ask the loop to stop the arm on its path and return; callable from any thread."""
-        self._ended.set()
+        """Ask the loop to stop the arm on its path and return; callable from anywhere."""
+        self._ended = True
         self._inbox.wake()
 
     def run(self) -> None:
-        """Serve until `end`. Raises whatever the backend raises, after stopping the arm."""
+        """Serve until `end`, then brake.
+
+        Raises:
+            BackendError: the backend failed; the arm was braked as far as that was possible.
+        """
         try:
             if self._lock_step:
-                self._run_lock_step()
+                while not self._ended:
+                    self._inbox.work()
+            elif self._backend.steppable:
+                self._follow_wall_time()
             else:
-                self._run_real_time()
+                while not self._ended:
+                    self._listen()
+                    self._cycle()
+                    self._publish_frames()
+        except _BackendFailed:
+            pass  # said below, after braking
         finally:
-            self._brake("the node ends")
+            self._brake()
+            self._inbox.close()
+        if self._failure:
+            raise BackendError(self._failure)
 
     # -- loops ------------------------------------------------------------------------------------
 
-    def _run_lock_step(self) -> None:
-        while not self._ended.is_set():
-            self._inbox.work()
-
-    def _run_real_time(self) -> None:
-        """Keep the backend's time level with wall time; a late cycle is caught up, in bounds."""
+    def _follow_wall_time(self) -> None:
         period = self._config.arm.control_period
-        start = self._clock.now()
-        done = 0
-        while not self._ended.is_set():
+        start, done = self._clock.now(), 0
+        while not self._ended:
             self._clock.sleep_until(start + (done + 1) * period)
-            self._inbox.drain()
-            due = int((self._clock.now() - start) / period) - done
+            self._listen()
+            due = max(1, int((self._clock.now() - start) / period) - done)
             if due > _MAX_CATCH_UP:
-                self._say(_WARN, f"the loop was {due * period * 1e3:.0f} ms late")
+                self._say(WARN, f"the loop was {due * period * 1e3:.0f} ms late")
                 start += (due - _MAX_CATCH_UP) * period
                 due = _MAX_CATCH_UP
-            for beat in self._beats.take_all():
-                self._lease.beat(beat.holder, self._clock.now())
-            self._watch_heart(self._clock.now())
-            for _ in range(max(due, 1)):
+            for _ in range(due):
                 self._cycle()
-                done += 1
+            done += due
             self._publish_frames()
 
+    def _listen(self) -> None:
+        """Take in commands and heartbeats; a heart that stopped stops the arm."""
+        self._inbox.drain()
+        now = self._clock.now()
+        for beat in self._beats.take_all():
+            self._guard.beat(beat.holder, now)
+        self._guard.watch(now)
+
     def _cycle(self) -> None:
-        """One control period: set-point, backend, joint states."""
-        now = self._backend.now()
-        scaling = self._backend.read_status().speed_scaling
-        q, qd = self._executor.tick(now, scaling)
-        self._backend.command_joints(q, qd)
-        self._backend.advance()
-        keys = self._session.keys
-        joints = self._backend.read_joints()
+        """One control period, and its samples on the wire."""
+        with self._backend_works():
+            self._guard.cycle()
+            self._publish_states()
+
+    @contextmanager
+    def _backend_works(self) -> Iterator[None]:
+        """Whatever goes wrong inside ends the node."""
+        try:
+            yield
+        except Exception as error:
+            text = str(error) if isinstance(error, BackendError) else f"{type(error).__name__}: {error}"
+            self._failure = self._failure or f"backend {self._backend.name} failed: {text}"
+            self._ended = True
+            raise _BackendFailed(self._failure) from error
+
+    def _brake(self) -> None:
+        """Bring the arm to rest on its path, for at most `_END_TIME`, as far as the backend can."""
+        period, executor = self._config.arm.control_period, self._guard.executor
+        if self._failure:
+            self._say(ERROR, self._failure)
+        executor.stop(self._failure or "the node ends")
+        with suppress(Exception):
+            for _ in range(round(_END_TIME / period)):
+                if not executor.moving:
+                    break
+                due = self._clock.now() + period
+                self._guard.cycle()
+                self._publish_states()
+                if self._backend.steppable and not self._lock_step:
+                    self._clock.sleep_until(due)
+            self._session.publish(self._session.keys.arm_status, self._guard.status())
+
+    # -- samples ----------------------------------------------------------------------------------
+
+    def _publish_states(self) -> None:
+        """Joint states every period; the rest at 25 Hz, and when the arm's status changes."""
+        keys, backend = self._session.keys, self._backend
+        joints = backend.read_joints()
         self._session.publish(keys.joint_states, joints)
         self._ticks += 1
-        status = self._status()
+        status = self._guard.status()
         if self._ticks % _STATUS_TICKS == 0 or self._changed(status):
             self._published = status
             self._session.publish(keys.arm_status, status)
-            self._session.publish(keys.gripper_state, self._backend.read_gripper())
-            self._session.publish(keys.belt_state, self._backend.read_belt())
+            self._session.publish(keys.gripper_state, backend.read_gripper())
+            self._session.publish(keys.belt_state, backend.read_belt())
             self._session.publish(keys.clock, ClockTick(joints.t))
-
-    def _publish_frames(self) -> tuple[Frame, ...]:
-        frames = tuple(self._backend.take_frames())
-        for frame in frames:
-            self._session.publish_frame(frame)
-            info = self._backend.camera_info(frame.camera)
-            self._session.publish(
-                self._session.keys.camera(frame.camera, "camera_info"), replace(info, t=frame.t)
-            )
-        return frames
-
-    def _watch_heart(self, now: float) -> None:
-        silent = self._lease.lost(now)
-        if silent:
-            deadline = self._config.supervisor.heartbeat_deadline
-            self._stop(f"no heartbeat of '{silent}' for {deadline * 1e3:.0f} ms")
-
-    # -- wire --------------------------------------------------------------------------------------
-
-    def _serve(self) -> None:
-        keys = self._session.keys
-        handlers: list[tuple[str, type[Any], Callable[[Any], Any]]] = [
-            (keys.trajectory, Trajectory, self._on_trajectory),
-            (keys.stop, Stop, self._on_stop),
-            (keys.resume, Resume, self._on_resume),
-            (keys.gripper_command, GripperCommand, self._on_gripper),
-            (keys.belt_command, BeltCommand, self._on_belt),
-        ]
-        for camera in self._config.cameras:
-            handlers.append((keys.camera(camera, "capture"), Capture, self._on_capture(camera)))
-        if self._backend.steppable:
-            handlers.append((keys.sim_truth, TruthRequest, self._on_truth))
-            if self._lock_step:
-                handlers += [
-                    (keys.sim_step, StepRequest, self._on_step),
-                    (keys.sim_reset, ResetRequest, self._on_reset),
-                ]
-        for key, kind, handler in handlers:
-            self._session.serve(key, kind, self._inbox.wrap(handler))
-
-    # -- commands (all on the loop's thread) -----------------------------------------------------------
-
-    def _on_trajectory(self, trajectory: Trajectory) -> Reply:
-        self._lease.require(trajectory.holder)
-        self._executor.accept(trajectory, self._backend.now(), self._backend.read_joints().q)
-        return Reply(True)
-
-    def _on_stop(self, stop: Stop) -> Reply:
-        self._stop(stop.reason or f"stop by '{stop.holder}'")
-        return Reply(True)
-
-    def _on_resume(self, resume: Resume) -> Reply:
-        self._lease.require(resume.holder)
-        joints = self._backend.read_joints()
-        self._executor.resume(joints.q, joints.qd)
-        return Reply(True)
-
-    def _on_gripper(self, command: GripperCommand) -> Reply:
-        self._lease.require(command.holder)
-        self._fresh(command.expires)
-        values = (command.width, command.speed, command.force)
-        if not all(math.isfinite(v) and v >= 0 for v in values):
-            raise RefusedError(RefusalCode.RANGE.value, "width, speed and force must be numbers >= 0")
-        if self._executor.stopped:
-            raise RefusedError(RefusalCode.STOPPED.value, f"{self._executor.stop_reason}; send resume first")
-        sent = self._backend.command_gripper(*values)
-        if np.allclose(sent, values, rtol=0, atol=1e-12):
-            return Reply(True)
-        return Reply(True, "clipped", "sent {:.4f} m, {:.3f} m/s, {:.0f} N".format(*sent))
-
-    def _on_belt(self, command: BeltCommand) -> Reply:
-        self._lease.require(command.holder)
-        self._backend.command_belt(command.onions, command.seed)
-        return Reply(True)
-
-    def _on_capture(self, camera: str) -> Callable[[Capture], Reply]:
-        def capture(request: Capture) -> Reply:
-            self._lease.require(request.holder)
-            self._backend.request_frame(camera)
-            return Reply(True)
-
-        return capture
-
-    def _on_step(self, request: StepRequest) -> StepReply | Reply:
-        if not 1 <= request.ticks <= _MAX_STEP:
-            raise RefusedError(RefusalCode.RANGE.value, f"ticks must be 1..{_MAX_STEP}, got {request.ticks}")
-        self._lease.beat(request.holder, self._backend.now())
-        self._lease.require(request.holder)
-        for _ in range(request.ticks):
-            self._cycle()
-        self._lease.beat(request.holder, self._backend.now())
-        return self._samples(self._publish_frames())
-
-    def _on_reset(self, request: ResetRequest) -> StepReply:
-        self._lease.beat(request.holder, self._backend.now())
-        self._lease.require(request.holder)
-        reset = getattr(self._backend, "reset", None)
-        if reset is None:
-            raise RefusedError(RefusalCode.UNSUPPORTED.value, f"backend {self._backend.name} cannot be reset")
-        reset(request.seed, request.onions)
-        self._executor = self._new_executor()
-        self._lease = Lease(self._config.supervisor.heartbeat_deadline)
-        self._lease.beat(request.holder, self._backend.now())
-        return self._samples(())
-
-    def _on_truth(self, request: TruthRequest) -> Truth:
-        del request
-        truth: Callable[[], Truth] | None = getattr(self._backend, "truth", None)
-        if truth is None:
-            raise BackendError(f"backend {self._backend.name} knows no truth")
-        return truth()
-
-    # -- parts --------------------------------------------------------------------------------------------
-
-    def _new_executor(self) -> Executor:
-        return Executor(self._limits, self._config.arm.control_period, self._backend.read_joints().q)
-
-    def _samples(self, frames: tuple[Frame, ...]) -> StepReply:
-        backend = self._backend
-        return StepReply(
-            backend.read_joints(), self._status(), backend.read_gripper(), backend.read_belt(), frames
-        )
-
-    def _status(self) -> ArmStatus:
-        e = self._executor
-        return replace(
-            self._backend.read_status(),
-            trajectory_id=e.trajectory_id,
-            progress=e.progress,
-            moving=e.moving,
-            stopped=e.stopped or bool(e.stop_reason),
-            stop_reason=e.stop_reason,
-            last_refusal=self._refusal,
-            lease=self._lease.holder,
-        )
 
     def _changed(self, status: ArmStatus) -> bool:
         if self._published is None:
             return True
         return replace(status, t=0.0, progress=0.0) != replace(self._published, t=0.0, progress=0.0)
 
-    def _fresh(self, expires: float) -> None:
-        now = self._backend.now()
-        if now > expires:
-            raise RefusedError(RefusalCode.STALE.value, f"it expired {now - expires:.3f} s ago")
+    def _publish_frames(self) -> tuple[Frame, ...]:
+        with self._backend_works():
+            frames = tuple(self._backend.take_frames())
+            for frame in frames:
+                self._session.publish_frame(frame)
+                info = replace(self._backend.camera_info(frame.camera), t=frame.t)
+                self._session.publish(self._session.keys.camera(frame.camera, "camera_info"), info)
+        return frames
 
-    def _stop(self, reason: str) -> None:
-        if not self._executor.stop_reason:
-            self._say(_WARN, f"stop: {reason}")
-        self._executor.stop(reason)
-
-    def _brake(self, reason: str) -> None:
-        """Bring the arm to rest on its path, for at most `_END_TIME`."""
-        self._executor.stop(reason)
-        period = self._config.arm.control_period
-        for _ in range(round(_END_TIME / period)):
-            if not self._executor.moving:
-                return
-            self._cycle()
-            if not self._lock_step:
-                self._clock.sleep_until(self._clock.now() + period)
-
-    def _note_refusal(self, error: RefusedError) -> None:
-        self._refusal = f"{error.code}: {error.reason}"
-        self._say(_WARN, f"refused: {self._refusal}")
+    def _samples(self, frames: tuple[Frame, ...]) -> StepReply:
+        backend = self._backend
+        return StepReply(
+            backend.read_joints(), self._guard.status(), backend.read_gripper(), backend.read_belt(), frames
+        )
 
     def _say(self, level: int, text: str) -> None:
-        self._session.publish(self._session.keys.events, Event(self._backend.now(), level, "node", text))
+        """An event. Telling people must never be what stops the loop."""
+        with suppress(Exception):
+            self._session.publish(self._session.keys.events, Event(self._backend.now(), level, "node", text))
+
+    # -- wire -------------------------------------------------------------------------------------
+
+    def _serve(self) -> None:
+        keys, guard = self._session.keys, self._guard
+        handlers: list[tuple[str, type[Any], Callable[[Any], Any]]] = [
+            (keys.trajectory, Trajectory, guard.on_trajectory),
+            (keys.stop, Stop, guard.on_stop),
+            (keys.resume, Resume, guard.on_resume),
+            (keys.gripper_command, GripperCommand, guard.on_gripper),
+            (keys.belt_command, BeltCommand, guard.on_belt),
+        ]
+        for camera in self._config.cameras:
+            handlers.append((keys.camera(camera, "capture"), Capture, guard.on_capture(camera)))
+        if self._backend.steppable:
+            handlers.append((keys.sim_truth, TruthRequest, self._on_truth))
+        if self._lock_step:
+            handlers.append((keys.sim_step, StepRequest, self._on_step))
+            handlers.append((keys.sim_reset, ResetRequest, self._on_reset))
+        for key, kind, handler in handlers:
+            self._session.serve(key, kind, self._inbox.wrap(handler))
+
+    def _on_step(self, request: StepRequest) -> StepReply:
+        """Advance; the request is the heartbeat, so time between requests does not count."""
+        if not 1 <= request.ticks <= _MAX_STEP:
+            raise _refused(RefusalCode.RANGE, f"ticks must be 1..{_MAX_STEP}, got {request.ticks}")
+        self._guard.beat(request.holder, self._backend.now())
+        self._guard.lease.require(request.holder)
+        for _ in range(request.ticks):
+            self._cycle()
+        self._guard.beat(request.holder, self._backend.now())
+        return self._samples(self._publish_frames())
+
+    def _on_reset(self, request: ResetRequest) -> StepReply:
+        self._guard.beat(request.holder, 0.0)  # a world that could not be rebuilt has no time
+        self._guard.lease.require(request.holder)
+        check_batch(request.onions, request.seed)
+        reset = getattr(self._backend, "reset", None)
+        if reset is None:
+            raise _refused(RefusalCode.UNSUPPORTED, f"backend {self._backend.name} cannot be reset")
+        reset(request.seed, request.onions)
+        self._guard.renew()
+        self._guard.beat(request.holder, self._backend.now())
+        self._published = None
+        return self._samples(())
+
+    def _on_truth(self, request: TruthRequest) -> Truth:
+        del request
+        truth: Callable[[], Truth] | None = getattr(self._backend, "truth", None)
+        if truth is None:
+            raise _refused(RefusalCode.UNSUPPORTED, f"backend {self._backend.name} knows no truth")
+        return truth()
+
+
+def _refused(code: RefusalCode, reason: str) -> RefusedError:
+    return RefusedError(code.value, reason)

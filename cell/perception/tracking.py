@@ -18,7 +18,8 @@ _GATE = 0.045
 _ROLLED = 0.12
 """Onions left over after that may have rolled this far [m]."""
 _FORGET_AFTER = 3
-"""Looks in a row without the onion after which its track is dropped."""
+"""Looks in a row without the onion after which its track is dropped; a sorted one is remembered,
+since taking it again would be worse than remembering a place where nothing lies."""
 
 
 class Status(Enum):
@@ -89,7 +90,7 @@ class Tracker:
                 self._tracks[track_id] = replace(
                     track, p_WO=s.p_WO, radius=s.radius, p_blemished=s.p_blemished, missed=0
                 )
-            elif track.missed + 1 >= _FORGET_AFTER:
+            elif track.missed + 1 >= _FORGET_AFTER and track.status is not Status.SORTED:
                 del self._tracks[track_id]
             else:
                 self._tracks[track_id] = replace(track, missed=track.missed + 1)
