@@ -187,7 +187,7 @@ class Executor:
             tau = self._tau + 0.5 * (self._rate + rate) * self._period
             q, slope = self._path(running, tau)
             qd = rate * slope
-            excess = float((np.abs(qd - self.qd) / (self._limits.qdd_max * self._period)).max())
+            excess = self._excess(q, qd)
             choice = (rate, tau, q, qd)
             if excess <= 1.0:
                 return choice
@@ -195,6 +195,17 @@ class Executor:
                 best = (excess, choice)
         assert best is not None
         return best[1]
+
+    def _excess(self, q: Array, qd: Array) -> float:
+        """Acceleration needed to get from the present set-point to this one, as share of the limit.
+
+        The speeds alone do not say it: where the path switches from accelerating to braking within
+        the period, the way between them must fit, too.
+        """
+        rise = np.abs(qd - self.qd) / self._period
+        skew = np.abs((q - self.q) / self._period - 0.5 * (self.qd + qd)) / self._period
+        needed = 2 * skew + np.sqrt(4 * skew**2 + rise**2)
+        return float((needed / self._limits.qdd_max).max())
 
     def _check_start(self, trajectory: Trajectory, q: Array) -> None:
         """A motion from rest must begin where the arm is, and at rest."""

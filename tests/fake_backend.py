@@ -45,9 +45,15 @@ class FakeBackend:
         self.batches: list[tuple[int, int]] = []
         self.advanced = 0
         self._clock = WallClock()
-        self.connect()
+        self._connected = False
+        self.q = np.array(config.arm.home)
 
     def connect(self) -> None:
+        if not self._connected:
+            self._connected = True
+            self._start()
+
+    def _start(self) -> None:
         self.q, self.qd = np.array(self._config.arm.home), np.zeros(6)
         self._ticks, self._seq, self._width = 0, 0, self._config.gripper.stroke
         self._frames: deque[T.Frame] = deque()
@@ -55,14 +61,17 @@ class FakeBackend:
     def reset(self, seed: int, onions: int) -> None:
         if onions > 100:
             raise BackendError("so many onions do not fit; ask for at most 100")
-        self.connect()
+        self._start()
         self.batches.append((onions, seed))
 
     def close(self) -> None:
+        self._connected = False
         self.qd = np.zeros(6)
 
     def now(self) -> float:
         self.threads.add(threading.get_ident())
+        if not self._connected:
+            raise BackendError("the fake is not connected; call connect() first")
         return self._ticks * self._config.arm.control_period
 
     def command_joints(self, q: T.Array, qd: T.Array) -> None:
@@ -89,9 +98,12 @@ class FakeBackend:
         self.delay = 0.0
         if wait:
             self._clock.sleep_until(self._clock.now() + wait)
-        self.q, self.qd = self.commanded[-1]
+        if len(self.commanded) > self.advanced:
+            self.q, self.qd = self.commanded[-1]
+            self.advanced += 1
+        else:
+            self.qd = np.zeros(6)  # no set-point came: stop
         self._ticks += 1
-        self.advanced += 1
 
     def read_joints(self) -> T.JointState:
         return T.JointState(self.now(), self.q, self.qd, np.zeros(6))
@@ -106,14 +118,18 @@ class FakeBackend:
         return T.BeltState(self.now(), len(self.batches), False, 0.0)
 
     def camera_info(self, camera: str) -> T.CameraInfo:
+        self._check(camera)
         return T.CameraInfo(self.now(), f"camera_{camera}", 16, 16, 20.0, 20.0, 8.0, 8.0)
 
     def request_frame(self, camera: str) -> None:
-        if camera not in self._config.cameras:
-            raise BackendError(f"camera: {one_of(camera, self._config.cameras)}")
+        self._check(camera)
         self._seq += 1
         rgb = np.full((16, 16, 3), self._seq, np.uint8)
         self._frames.append(T.Frame(camera, self._seq, self.now(), rgb, np.ones((16, 16), np.float32)))
+
+    def _check(self, camera: str) -> None:
+        if camera not in self._config.cameras:
+            raise BackendError(f"camera: {one_of(camera, self._config.cameras)}")
 
     def take_frames(self) -> list[T.Frame]:
         due = [f for f in self._frames if f.t + self._config.cameras[f.camera].latency <= self.now() + 1e-9]

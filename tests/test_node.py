@@ -28,6 +28,7 @@ class Cell:
     def __init__(self, *, lock_step: bool, steppable: bool = True) -> None:
         self.config: CellConfig = own_port()
         self.backend = FakeBackend(self.config, steppable=steppable)
+        self.backend.connect()
         self.server = Session.listen(self.config, patient=lock_step)
         self.node = Node(self.config, self.backend, self.server, lock_step=lock_step)
         self.failure = ""

@@ -29,7 +29,6 @@ _BLEMISHES = ((52, 34, 22), (28, 30, 26), (84, 80, 62))
 """RGB of rot, black mould and grey mould."""
 _BLEMISH_RADIUS = (0.21, 0.44)
 """Angular radius of a blemish [rad] (12 to 25 degrees)."""
-_HULL_POINTS = 72
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +52,15 @@ class Onion:
     mass: float
     blemishes: tuple[tuple[tuple[float, float, float], float], ...]
 
+    @property
+    def collision_radius(self) -> float:
+        """Radius [m] of the sphere that stands for the onion in the physics.
+
+        A sphere has one exact contact with a flat finger; convex hulls of nearly the same shape
+        gave contradictory contacts by which onions clung to opening fingers.
+        """
+        return (2 * self.radius + self.height) / 3
+
 
 def make_onion(rng: np.random.Generator, config: OnionConfig, index: int) -> Onion:
     """Draw the next onion from `rng`.
@@ -65,7 +73,7 @@ def make_onion(rng: np.random.Generator, config: OnionConfig, index: int) -> Oni
     """
     rng = np.random.default_rng([index, int(rng.integers(2**63))])
     radius = float(rng.uniform(*config.diameter)) / 2
-    height = radius * float(rng.uniform(0.86, 1.0))
+    height = radius * float(rng.uniform(0.93, 1.0))
     mesh = _mesh(rng, radius, height)
     blemished = bool(rng.random() < config.blemished_share)
     blemishes = _place_blemishes(rng) if blemished else ()
@@ -78,22 +86,6 @@ def make_onion(rng: np.random.Generator, config: OnionConfig, index: int) -> Oni
         mass=_DENSITY * 4 / 3 * np.pi * radius**2 * height,
         blemishes=blemishes,
     )
-
-
-def collision_vertices(onion: Onion) -> Array:
-    """Points (K, 3) [m] in O whose convex hull is the onion's collision shape."""
-    z, longitude = _spiral(_HULL_POINTS)
-    across = np.sqrt(1 - z * z)
-    unit = np.stack([across * np.cos(longitude), across * np.sin(longitude), z], axis=1)
-    # The hull of points on a surface lies inside it; 1.5 % makes up for that on average.
-    out: Array = unit * np.array([onion.radius, onion.radius, onion.height]) * 1.015
-    return out
-
-
-def _spiral(count: int) -> tuple[Array, Array]:
-    """Heights and longitudes of `count` evenly spread points of the unit sphere."""
-    k = np.arange(count) + 0.5
-    return 1 - 2 * k / count, np.asarray(np.pi * (1 + 5**0.5) * k, float)
 
 
 def _mesh(rng: np.random.Generator, radius: float, height: float) -> Mesh:

@@ -14,7 +14,7 @@ from cell.frames import Array, from_quaternion, pose, quaternion
 from hil.sim.arm import SimArm
 from hil.sim.fixtures import FLOOR_Z, fixtures
 from hil.sim.gripper import SimGripper
-from hil.sim.onions import Onion, collision_vertices, make_onion
+from hil.sim.onions import Onion, make_onion
 from hil.sim.physics import bullet, connect, quiet
 from hil.sim.render.mesh import box_mesh, cylinder_mesh
 from hil.sim.render.scene import Scene, Visual, add_urdf_visuals
@@ -25,8 +25,6 @@ ONION_LABEL = 100
 
 _SLEEP = 0.01
 """Onions slower than this for two seconds sleep until something touches them (Bullet's measure)."""
-_MARGIN = 0.0003
-"""Bullet's collision margin of an onion [m]: with the default one, onions cling to opening fingers."""
 _SETTLE = 1.0
 """Time for dropped onions to come to rest before the round starts [s]."""
 
@@ -105,7 +103,7 @@ class World:
         p_WO = self.onion_pose(index)[:3, 3]
         c, b = self.config.bin, self.config.belt
         in_bin = np.all(np.abs(p_WO[:2] - c.center[:2]) <= np.array(c.size[:2]) / 2)
-        if in_bin and c.center[2] - c.size[2] - 0.02 < p_WO[2] < c.center[2] + 0.02:
+        if in_bin and c.center[2] - c.size[2] - 0.02 < p_WO[2] < c.center[2] + 0.03:
             return "bin"
         over_belt = b.x[0] <= p_WO[0] <= b.x[1] and b.y[0] <= p_WO[1] <= b.y[1]
         if over_belt and b.top_z < p_WO[2] < b.top_z + 0.06:
@@ -214,15 +212,15 @@ class World:
     def _add_onion(self, index: int, onion: Onion) -> int:
         c = self.client
         shape = bullet.createCollisionShape(
-            bullet.GEOM_MESH, vertices=collision_vertices(onion).tolist(), physicsClientId=c
+            bullet.GEOM_SPHERE, radius=onion.collision_radius, physicsClientId=c
         )
         visual = self._reference_visual(onion) if self._reference else -1
         body: int = bullet.createMultiBody(onion.mass, shape, visual, [0, 0, 1], physicsClientId=c)
         if self._reference:
             self._reference_texture(body, onion)
         bullet.changeDynamics(
-            body, -1, lateralFriction=0.8, rollingFriction=0.002, spinningFriction=0.002,
-            linearDamping=0.02, angularDamping=0.1, frictionAnchor=1, collisionMargin=_MARGIN,
+            body, -1, lateralFriction=0.8, rollingFriction=0.006, spinningFriction=0.004,
+            linearDamping=0.02, angularDamping=0.1, frictionAnchor=1,
             activationState=bullet.ACTIVATION_STATE_ENABLE_SLEEPING, sleepThreshold=_SLEEP, physicsClientId=c,
         )  # fmt: skip
         self.scene.add(
