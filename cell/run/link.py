@@ -7,6 +7,7 @@ beats its heart and refuses stale readings.
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections import deque
 from typing import Protocol
@@ -197,6 +198,7 @@ class Heart:
         self._session, self._holder = session, holder
         self._beat, self._loop_deadline = 0.3 * deadline, 5.0 * deadline
         self._clock = WallClock()
+        sys.setswitchinterval(0.001)  # planning must not keep the interpreter from the heart for long
         self._alive = self._clock.now()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)

@@ -220,7 +220,7 @@ class World:
             self._reference_texture(body, onion)
         bullet.changeDynamics(
             body, -1, lateralFriction=0.8, rollingFriction=0.006, spinningFriction=0.004,
-            linearDamping=0.02, angularDamping=0.1, frictionAnchor=1,
+            linearDamping=0.02, angularDamping=0.1,
             activationState=bullet.ACTIVATION_STATE_ENABLE_SLEEPING, sleepThreshold=_SLEEP, physicsClientId=c,
         )  # fmt: skip
         self.scene.add(
