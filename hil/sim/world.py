@@ -10,6 +10,7 @@ import numpy as np
 
 import urdf
 from cell.config import CellConfig
+from cell.errors import ConfigError
 from cell.frames import Array, from_quaternion, pose, quaternion
 from hil.sim.arm import SimArm
 from hil.sim.fixtures import FLOOR_Z, fixtures
@@ -191,23 +192,29 @@ class World:
             bullet.stepSimulation(physicsClientId=self.client)
 
     def _places(self, count: int) -> list[Array]:
-        """Random places in the pick window at least `onions.spacing` apart, shape (2,) each [m]."""
-        b, spacing = self.config.belt, self.config.onions.spacing
-        lo, hi = np.array([b.pick_x[0], b.pick_y[0]]), np.array([b.pick_x[1], b.pick_y[1]])
-        for _ in range(200):
-            chosen: list[Array] = []
-            for _ in range(400):
-                p = self._rng.uniform(lo, hi)
-                if all(np.linalg.norm(p - other) >= spacing for other in chosen):
-                    chosen.append(p)
-                if len(chosen) == count:
-                    return chosen
-        from cell.errors import ConfigError
+        """Random places in the pick window at least `onions.spacing` apart, shape (2,) each [m].
 
-        raise ConfigError(
-            f"{count} onions do not fit into the pick window with a spacing of {spacing} m; "
-            "ask for fewer onions, or change belt.pick_x, belt.pick_y or onions.spacing"
-        )
+        Where a batch is so large that chance does not find room, the spacing gives way a little,
+        down to what keeps the largest onions apart.
+        """
+        b, config = self.config.belt, self.config.onions
+        lo, hi = np.array([b.pick_x[0], b.pick_y[0]]), np.array([b.pick_x[1], b.pick_y[1]])
+        spacing, least = config.spacing, min(config.spacing, 1.02 * config.diameter[1])
+        while True:
+            for _ in range(200):
+                chosen: list[Array] = []
+                for _ in range(400):
+                    p = self._rng.uniform(lo, hi)
+                    if all(np.linalg.norm(p - other) >= spacing for other in chosen):
+                        chosen.append(p)
+                    if len(chosen) == count:
+                        return chosen
+            if spacing <= least:
+                raise ConfigError(
+                    f"{count} onions do not fit into the pick window with a spacing of {least:.3f} m; "
+                    "ask for fewer onions, or change belt.pick_x, belt.pick_y or onions.spacing"
+                )
+            spacing = max(least, 0.98 * spacing)
 
     def _add_onion(self, index: int, onion: Onion) -> int:
         c = self.client
