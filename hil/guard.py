@@ -86,8 +86,14 @@ class Guard:
             self.executor.forget_ids()
             self._say(INFO, f"'{holder}' holds the lease")
 
-    def watch(self, now: float) -> None:
-        """Stop the arm when the lease's holder has been silent for too long at `now` [s]."""
+    def watch(self, now: float, deaf: float = 0.0) -> None:
+        """Stop the arm when the lease's holder has been silent for too long at `now` [s].
+
+        Args:
+            deaf: time up to now in which nobody listened, and which is therefore no silence [s].
+        """
+        if deaf > 0.0:
+            self.lease.excuse(deaf, now)
         if silent := self.lease.lost(now):
             deadline = self._config.supervisor.heartbeat_deadline
             self.stop(f"heartbeat lost: nothing from '{silent}' for {deadline * 1e3:.0f} ms")

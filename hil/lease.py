@@ -32,6 +32,10 @@ class Lease:
         silent, self.holder = self.holder, ""
         return silent
 
+    def excuse(self, seconds: float, now: float) -> None:
+        """The node itself could not listen for `seconds` until `now` [s]: that was no silence."""
+        self._last = min(now, self._last + seconds)
+
     def require(self, holder: str) -> None:
         """Raise `RefusedError` unless `holder` has the lease."""
         if holder != self.holder:

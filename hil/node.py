@@ -86,6 +86,7 @@ class Node:
         self._ended = False
         self._failure = ""
         self._ticks = 0
+        self._listened = self._clock.now()
         self._published: ArmStatus | None = None
         self._beats = session.latest(session.keys.heartbeat, Heartbeat)
         self._serve()
@@ -139,12 +140,18 @@ class Node:
             self._publish_frames()
 
     def _listen(self) -> None:
-        """Take in commands and heartbeats; a heart that stopped stops the arm."""
+        """Take in commands and heartbeats; a heart that stopped stops the arm.
+
+        A simulation that renders, or that a busy machine held up, was deaf meanwhile: beats sent
+        then may still be on their way. A real arm's loop gets no such grace.
+        """
         self._inbox.drain()
         now = self._clock.now()
         for beat in self._beats.take_all():
             self._guard.beat(beat.holder, now)
-        self._guard.watch(now)
+        late = now - self._listened - 2 * self._config.arm.control_period
+        self._guard.watch(now, max(0.0, late) if self._backend.steppable else 0.0)
+        self._listened = now
 
     def _cycle(self) -> None:
         """One control period, and its samples on the wire."""

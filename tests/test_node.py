@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from cell.clock import WallClock, perf_s
-from cell.config import CellConfig
+from cell.config import CellConfig, load
 from cell.errors import BackendError, CellError, WireError
 from cell.run.link import Heart
 from cell.wire import types as T
 from cell.wire.session import Session
+from hil.lease import Lease
 from hil.node import Node
 from tests.fake_backend import FakeBackend
 from tests.test_executor import LIMITS, PERIOD, smooth
@@ -418,6 +419,16 @@ def test_simulated_time_keeps_up_with_wall_time_after_late_cycles(live: Cell) ->
     pause(0.9)
     assert any("ms late" in text for text in live.said())
     assert live.joints.wait(1.0).t - begin < perf_s() - wall - 0.2
+
+
+def test_a_deaf_simulation_does_not_blame_the_heart_but_a_real_arms_loop_does() -> None:
+    deadline = load().supervisor.heartbeat_deadline
+    for seconds, deaf, lost in [(0.11, 0.05, ""), (0.16, 0.05, "sup"), (0.11, 0.0, "sup"), (0.2, 9.0, "")]:
+        lease = Lease(deadline)
+        lease.beat("sup", 10.0)
+        lease.excuse(deaf, 10.0 + seconds)
+        assert lease.lost(10.0 + seconds) == lost
+        assert lease.lost(10.0 + seconds + 1.01 * deadline) == ("" if lost else "sup")  # only ever delayed
 
 
 def test_a_backend_with_its_own_cycle_sets_the_pace() -> None:

@@ -53,6 +53,11 @@ class Planner:
         self._routes = Routes(config, self.kinematics)
         self._roadmap = Roadmap(config, self.kinematics, self.collision) if thorough else None
 
+    def prepare(self) -> None:
+        """Do now what would otherwise delay the first motion that needs it."""
+        if self._roadmap is not None:
+            self._roadmap.prepare()
+
     # -- poses ----------------------------------------------------------------------------------
 
     def grasp_pose(self, p_WO: Array, yaw: float) -> Array:

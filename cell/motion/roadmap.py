@@ -1,6 +1,6 @@
 """A net of arm poses that are free and connected, for ways that no simple route finds.
 
-Built once, when first needed: tool poses all round the base, at two distances, three heights and
+Built once, by `prepare` or when first needed: tool poses all round the base, at two distances, three heights and
 several tilts, joined where the straight joint move between neighbours keeps clear with an onion
 in the hand. A way is the shortest one through the net, with every pose left out that can be.
 """
@@ -37,6 +37,10 @@ class Roadmap:
     def __init__(self, config: CellConfig, kinematics: Kinematics, collision: CollisionModel) -> None:
         self._config, self._kinematics, self._collision = config, kinematics, collision
         self._held = config.onions.diameter[1] / 2
+
+    def prepare(self) -> None:
+        """Build the net now; takes a few tenths of a second."""
+        assert len(self._net) == 2
 
     def way(self, q_from: Array, q_to: Array, held_radius: float) -> list[Array]:
         """Arm poses from q_from to q_to, joined by straight joint moves that are free; empty if none."""

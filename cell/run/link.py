@@ -196,7 +196,7 @@ class Heart:
 
     def __init__(self, session: Session, holder: str, deadline: float) -> None:
         self._session, self._holder = session, holder
-        self._beat, self._loop_deadline = 0.3 * deadline, 5.0 * deadline
+        self._beat, self._loop_deadline = 0.2 * deadline, 8.0 * deadline
         self._clock = WallClock()
         sys.setswitchinterval(0.001)  # planning must not keep the interpreter from the heart for long
         self._alive = self._clock.now()

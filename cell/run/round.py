@@ -157,7 +157,8 @@ def _drive(
 
 
 def _warm_up(planner: Planner, detector: Detector, config: CellConfig) -> None:
-    """Do the first plan and the first detection now: their imports must not starve the heartbeat."""
+    """Do the first plan and the first detection now: later they would hold up the decision loop."""
+    planner.prepare()
     home = np.array(config.arm.home)
     planner.plan_joints(home, home + 0.01, config.motion.collaborative_speed)
     camera = config.cameras["belt"]

@@ -194,12 +194,12 @@ class World:
     def _places(self, count: int) -> list[Array]:
         """Random places in the pick window at least `onions.spacing` apart, shape (2,) each [m].
 
-        Where a batch is so large that chance does not find room, the spacing gives way a little,
-        down to what keeps the largest onions apart.
+        Where a batch is so large that chance does not find room, the spacing gives way by up to a
+        tenth, as long as the largest onions stay apart.
         """
         b, config = self.config.belt, self.config.onions
         lo, hi = np.array([b.pick_x[0], b.pick_y[0]]), np.array([b.pick_x[1], b.pick_y[1]])
-        spacing, least = config.spacing, min(config.spacing, 1.02 * config.diameter[1])
+        spacing, least = config.spacing, max(0.9 * config.spacing, 1.02 * config.diameter[1])
         while True:
             for _ in range(200):
                 chosen: list[Array] = []
