@@ -18,6 +18,7 @@ ABOVE = {
     "cell.decision": {"cell.perception", "cell.motion"},
     "cell.run": {"cell.decision", "cell.perception", "cell.motion", "cell.record"},
     "cell.doctor": {"cell.perception", "cell.motion"},
+    "cell.learn": {"cell.decision.policy"},
     "hil": {"urdf"},
     "urdf": set(),
 }

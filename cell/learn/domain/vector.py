@@ -1,0 +1,233 @@
+"""Many episodes of the sorting task at once.
+
+All episodes run in step; everything that happens is a table look-up over arrays. The same seed
+and the same calls give the same bits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import ConfigError
+from cell.learn.domain.local import ACTIONS, FEATURES, LOCALS, SINK, SIZE, START, with_type
+from cell.learn.domain.presets import Preset, confusion
+from cell.learn.domain.rules import KINDS, SHOWN, SOUND, STEP_COST, forced, phases, tables
+from cell.wire.vocabulary import Action, EefLocation, OnionLocation, Prediction
+
+_LEVELS = 1 << 16
+"""Chances are kept to 1 in 65,536."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """What one step of E episodes with N agents gave.
+
+    Attributes:
+        local: (E, N) int16 local states after the step.
+        observed: (E, N) int8 each agent's action as the others see it.
+        reward_truth, reward_priced, reward_shaped: (E,) float32 team rewards: +1 and -1 by the truth;
+            the same minus the price; the published environment's own.
+        placed, wrong: (E, N) int8 onions put down in this step, and those put wrongly.
+        priced: (E,) a step of a robot in industrial mode beside a human at work.
+        alive: (E,) False once an invalid action has ended the episode.
+        type_hidden, type_own, type_announced: (E, N) int8 types after the step: the truth, what the
+            agent itself knows, what it told last.
+    """
+
+    local: NDArray[np.int16]
+    observed: NDArray[np.int8]
+    reward_truth: NDArray[np.float32]
+    reward_priced: NDArray[np.float32]
+    reward_shaped: NDArray[np.float32]
+    placed: NDArray[np.int8]
+    wrong: NDArray[np.int8]
+    priced: NDArray[np.bool_]
+    alive: NDArray[np.bool_]
+    type_hidden: NDArray[np.int8]
+    type_own: NDArray[np.int8]
+    type_announced: NDArray[np.int8]
+
+
+class Domain:
+    """The vectorised environment; see `make`.
+
+    Attributes:
+        preset, n_envs, n_agents, horizon: sizes. features: (L, 15) float32, encoding of local states.
+        mask: (N, L, 9) bool, what agent i may choose. Where the rules leave nothing (states that do
+            not occur, and the sink) it is No-op.
+    """
+
+    def __init__(self, preset: Preset, envs: int, seed: int) -> None:
+        if preset.published and preset.agents != ("robot", "human"):
+            raise ConfigError("agents: the published rules are for one robot and one human")
+        if not 1 <= envs <= 1_000_000:
+            raise ConfigError(f"envs must be between 1 and 1000000, got {envs}")
+        self.preset, self.n_envs, self.n_agents, self.horizon = (
+            preset,
+            envs,
+            len(preset.agents),
+            preset.horizon,
+        )
+        self.features = FEATURES
+        self._rng = np.random.default_rng([seed, 0x50F7])
+        self._tables = [tables(preset, role) for role in preset.agents]
+        self.mask = np.stack([t.valid for t in self._tables])
+        self.mask[:, :, Action.NO_OP] |= ~self.mask.any(axis=2)
+        # Flat tables: one look-up each, by local state, action and whatever else decides.
+        self._valid = [np.ascontiguousarray(t.valid.ravel()) for t in self._tables]
+        self._following = [np.ascontiguousarray(t.following.ravel()) for t in self._tables]
+        self._wrong = [np.ascontiguousarray(t.wrong.ravel()) for t in self._tables]
+        self._shaped = [t.shaped.ravel().astype(np.float32) for t in self._tables]
+        self._forced = forced(preset).ravel() if preset.published and preset.forcing else None
+        following, self._fatigued = phases(preset)
+        self._thresholds = following.shape[2]
+        self._phase_after = following.ravel()
+        self._first_rest = len(self._fatigued) - 1
+        edges = np.cumsum([1 - preset.p_blemished, preset.p_blemished * preset.p_visible])
+        self._kind = np.searchsorted(edges, (np.arange(_LEVELS) + 0.5) / _LEVELS, side="right")
+        self._fresh = np.zeros(ACTIONS, dtype=bool)
+        self._fresh[[Action.DETECT, Action.DETECT_PICK]] = True
+        self._fresh[Action.INSPECT] = preset.published
+        seen = confusion(preset)
+        self._seen = None if (seen == np.eye(ACTIONS)).all() else np.cumsum(seen, axis=1)
+        self._placing = np.isin(np.arange(ACTIONS), (Action.PLACE_ON_CONVEYOR, Action.PLACE_IN_BIN))
+        self.reset()
+
+    def reset(self) -> NDArray[np.int16]:
+        """Start a new episode everywhere; returns local states (E, N)."""
+        count, agents = self.n_envs, self.n_agents
+        self._alive = np.ones(count, dtype=bool)
+        self._onion = np.full((agents, count), SOUND)
+        self._phase = np.zeros((agents, count), dtype=np.int64)
+        self._local = np.full((agents, count), START)
+        if self.preset.start == "random":
+            self._local = self._rng.choice(_RANDOM_STARTS, (agents, count))
+            self._onion = self._matching_onions(self._local)
+        for i in self.preset.robots:
+            if self.preset.robot_start is not None:
+                self._local[i] = with_type(self._local[i], self.preset.robot_start)
+        for i in self.preset.humans:
+            if not self.preset.thresholds:
+                self._local[i] = with_type(self._local[i], 0)
+            self._phase[i] = np.where(LOCALS.own_type[self._local[i]] == 1, self._first_rest, 0)
+        self._told = LOCALS.own_type[self._local].astype(np.int8)
+        return self._local.T.astype(np.int16)
+
+    def step(self, actions: NDArray[np.integer]) -> Step:
+        """Let one step pass.
+
+        Args:
+            actions: (E, N) numbers of actions. Outside of the published rules they must be in `mask`.
+
+        Raises:
+            ConfigError: an action that the mask forbids, where the rules are not the published ones.
+        """
+        agents, humans = range(self.n_agents), self.preset.humans
+        action = np.ascontiguousarray(actions.T, dtype=np.int64)
+        key = self._local * ACTIONS + action
+        valid = self._valid[0][key[0]]
+        for i in agents[1:]:
+            valid = valid & self._valid[i][key[i]]
+        if not self.preset.published and not valid.all():
+            raise ConfigError("an action was chosen that the mask forbids")
+        alive = self._alive & valid
+        draws = np.frombuffer(
+            self._rng.bytes(2 * (self.n_agents + len(humans)) * self.n_envs), np.uint16
+        ).reshape(-1, self.n_envs)
+        own = LOCALS.own_type[self._local]
+        priced = self._priced(own, action) & alive
+
+        placed, wrong = np.empty_like(action, dtype=np.int8), np.empty_like(action, dtype=np.int8)
+        shaped = np.full(self.n_envs, -STEP_COST, dtype=np.float32)
+        local, hidden = np.empty_like(self._local), own.astype(np.int8)
+        for i in agents:
+            fresh = self._fresh[action[i]]
+            kind = np.where(fresh, self._kind[draws[i]], self._onion[i])
+            self._onion[i] = kind
+            true_type = self._fatigued[self._phase[i]] if i in humans else own[i]
+            local[i] = self._following[i][
+                ((self._local[i] * 2 + true_type) * ACTIONS + action[i]) * KINDS + kind
+            ]
+            placed[i] = self._placing[action[i]] & alive
+            wrong[i] = self._wrong[i][key[i] * KINDS + kind] & alive
+            shaped += np.where(alive, self._shaped[i][key[i]], np.float32(0.0))
+        for k, i in enumerate(humans):
+            drawn = (draws[self.n_agents + k].astype(np.int64) * self._thresholds) >> 16
+            self._phase[i] = self._phase_after[(self._phase[i] * 2 + placed[i]) * self._thresholds + drawn]
+            hidden[i] = self._fatigued[self._phase[i]]
+        if self._forced is not None:
+            local[0] = self._forced[local[0] * SIZE + local[1]]
+        if not alive.all():
+            local[:, ~alive] = SINK
+            shaped[~self._alive] = 0.0
+        self._local, self._alive = local, alive
+        own = LOCALS.own_type[local].astype(np.int8)
+        for i in self.preset.robots:
+            hidden[i] = own[i]
+        thumb = action >= Action.SPEED_UP
+        robot = np.isin(np.arange(self.n_agents), self.preset.robots)[:, None]
+        told = np.where(robot, action == Action.SPEED_UP, action == Action.SLOW_DOWN)
+        self._told = np.where(thumb, told, self._told).astype(np.int8)
+        truth = (placed.sum(axis=0) - 2 * wrong.sum(axis=0)).astype(np.float32)
+        return Step(
+            local=local.T.astype(np.int16),
+            observed=self._observe(action).T.astype(np.int8),
+            reward_truth=truth,
+            reward_priced=truth - np.float32(self.preset.price) * priced,
+            reward_shaped=shaped,
+            placed=placed.T,
+            wrong=wrong.T,
+            priced=priced,
+            alive=alive,
+            type_hidden=hidden.T,
+            type_own=own.T,
+            type_announced=self._told.T,
+        )
+
+    def _priced(self, own: NDArray[np.int64], action: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """A robot acts in industrial mode (slowing down is free) beside a human at work, shape (E,)."""
+        working = np.zeros(self.n_envs, dtype=bool)
+        for i in self.preset.humans:
+            match self.preset.priced_on:
+                case "own":
+                    working |= (own[i] == 0) & (LOCALS.indicated[self._local[i]] == 1)
+                case "active":
+                    working |= (action[i] != Action.NO_OP) & (action[i] < Action.SPEED_UP)
+                case "hidden":
+                    working |= self._fatigued[self._phase[i]] == 0
+        fast = np.zeros(self.n_envs, dtype=bool)
+        for i in self.preset.robots:
+            fast |= (own[i] == 1) & (action[i] != Action.SLOW_DOWN)
+        return working & fast
+
+    def _observe(self, action: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Actions (N, E) as the others see them."""
+        if self._seen is None:
+            return action
+        u = self._rng.random(action.shape)[..., None]
+        out: NDArray[np.int64] = (u >= self._seen[action][..., :-1]).sum(axis=-1)
+        return out
+
+    def _matching_onions(self, local: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Kinds (N, E) that fit the predictions of random starts."""
+        p, visible = self.preset.p_blemished, self.preset.p_visible
+        hidden_share = p * (1 - visible) / max(1 - p * visible, 1e-12)
+        concealed = self._rng.random(local.shape) < hidden_share
+        inspected = LOCALS.onion[local] == OnionLocation.IN_FRONT
+        good = np.where(concealed & ~inspected, KINDS - 1, SOUND)
+        return np.where(LOCALS.prediction[local] == Prediction.BLEMISHED, SHOWN, good)
+
+
+_RANDOM_STARTS = np.flatnonzero((LOCALS.indicated == 1) & (LOCALS.eef != EefLocation.ON_CONVEYOR))
+"""Published: uniform over local states that are indicated and whose hand is not on the conveyor."""
+
+
+def make(preset: Preset, envs: int, seed: int) -> Domain:
+    """`envs` episodes of the task at once, seeded."""
+    return Domain(preset, envs, seed)
+
+
+__all__ = ["Domain", "Step", "make"]
