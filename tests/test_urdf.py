@@ -17,8 +17,9 @@ from scipy.spatial.transform import Rotation
 
 import urdf
 from cell.config import load
-from cell.frames import Array, from_quaternion, inverse, pose, rot_z
+from cell.frames import Array, from_quaternion, inverse, pose, rot_x, rot_y, rot_z
 from cell.limits import Q_MAX, QD_MAX, fk_flange, tcp_positions
+from cell.motion.collision import CollisionModel
 from hil.sim.physics import bullet, connect, quiet
 
 X_WB = pose(rot_z(np.pi))
@@ -199,3 +200,37 @@ def test_missing_meshes_say_which() -> None:
         urdf.resolve("package://no_such_package/mesh.obj")
     with pytest.raises(FileNotFoundError, match=r"no such file.*airo_models"):
         urdf.resolve("package://airo_models/arms/ur3e/visual/none.obj")
+
+
+@pytest.mark.parametrize("link", ["upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link"])
+def test_the_planner_knows_every_part_that_can_touch(link: str) -> None:
+    """Collision shapes lie inside the planner's spheres, but for little more than the clearance it keeps."""
+    config = load()
+    model = CollisionModel(config)
+    for q in (np.array(config.arm.home), np.array([0.3, -1.2, 1.1, -1.4, -1.5, 0.7])):
+        p_WS, radii, _ = model.spheres(q[None])
+        for shape in description().findall(f"./link[@name='{link}']/collision"):
+            cylinder = shape.find("geometry/cylinder")
+            assert cylinder is not None
+            points = _surface(float(cylinder.attrib["radius"]), float(cylinder.attrib["length"]))
+            X_WC = X_W(link, q) @ _origin(shape.find("origin"))
+            points = points @ X_WC[:3, :3].T + X_WC[:3, 3]
+            outside = (np.linalg.norm(points[:, None] - p_WS[0], axis=2) - radii).min(axis=1)
+            assert outside.max() < 0.010, f"{outside.max():.4f} m outside of the planner's model"
+
+
+def _surface(radius: float, length: float) -> Array:
+    """Points (N, 3) [m] on a cylinder about z."""
+    around = np.linspace(0, 2 * np.pi, 24)
+    rings = [
+        np.stack([r * np.cos(around), r * np.sin(around), np.full(24, z)], axis=1)
+        for z in np.linspace(-length / 2, length / 2, 9)
+        for r in (radius, 0.5 * radius)
+    ]
+    return np.concatenate(rings)
+
+
+def _origin(element: ET.Element | None) -> Array:
+    assert element is not None
+    xyz, rpy = ([float(v) for v in element.attrib[k].split()] for k in ("xyz", "rpy"))
+    return pose(rot_z(rpy[2]) @ rot_y(rpy[1]) @ rot_x(rpy[0]), xyz)

@@ -33,6 +33,8 @@ _BELT_GAP = 0.006
 """Least distance of the fingertips from the belt in a grasp [m]."""
 _RELEASE_GAP = 0.002
 """How much higher an onion is let go than it was taken, so that it is not pressed down [m]."""
+_HELD_MARGIN = 0.010
+"""How well the camera knows a held onion's size and its place between the fingers [m]."""
 
 
 @dataclass(frozen=True)
@@ -271,7 +273,9 @@ class Skills:
         yield from self.body.follow(path)
 
     def _held_radius(self) -> float:
-        return self.target.track.radius if self.target else 0.5 * self._config.onions.diameter[1]
+        """Of the sphere about the TCP that surely encloses the held onion [m]."""
+        largest = 0.5 * self._config.onions.diameter[1]
+        return _HELD_MARGIN + (min(self.target.track.radius, largest) if self.target else largest)
 
     def _grasp_pose(self, grasp: Grasp) -> Array:
         p_WO = grasp.track.p_WO.copy()
