@@ -91,5 +91,5 @@ def test_the_filter_survives_what_it_holds_for_impossible() -> None:
 def test_the_published_rules_leave_nothing_to_choose() -> None:
     with pytest.raises(ConfigError, match="may choose"):
         BestResponse(preset("released"))
-    with pytest.raises(ConfigError, match="one robot and one human"):
+    with pytest.raises(ConfigError, match="one robot and one human, in steps"):
         human_chain(preset("paper", agents=("robot", "human", "human")))

@@ -75,8 +75,8 @@ def human_chain(rules: Preset) -> HumanChain:
     Raises:
         ConfigError: the preset has other agents than one robot and one human.
     """
-    if rules.agents != ("robot", "human"):
-        raise ConfigError("the exact solution is for one robot and one human")
+    if rules.agents != ("robot", "human") or rules.seconds > 0.0:
+        raise ConfigError("the exact solution is for one robot and one human, in steps")
     table, policy = tables(rules, "human"), expert_actions(rules, 1)[:, 0]
     after, fatigued = phases(rules)
     found: dict[tuple[int, int], int] = {(START, 0): 0}

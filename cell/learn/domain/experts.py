@@ -16,6 +16,8 @@ KINDS = ("expert", "never-speed-up", "always-industrial", "never-inspect")
 def expert_actions(rules: Preset, agent: int, kind: str = "expert") -> NDArray[np.int8]:
     """Action (L, 2) by local state and by "the partner is believed to be fatigued".
 
+    Where actions take time there are twice as many states: a busy agent can only No-op.
+
     Under the published rules the mode changes are forced, so the second index changes nothing.
 
     Args:
@@ -34,7 +36,7 @@ def expert_actions(rules: Preset, agent: int, kind: str = "expert") -> NDArray[n
             wanted = {"never-speed-up": 0, "always-industrial": 1}.get(kind, believed)
             chooses = robot and not rules.published
             out[state, believed] = _action(state, robot, wanted if chooses else None, inspects)
-    return out
+    return np.concatenate([out, np.zeros_like(out)]) if rules.seconds > 0.0 else out
 
 
 def _action(state: int, robot: bool, wanted: int | None, inspects: bool) -> Action:

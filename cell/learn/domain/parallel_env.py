@@ -14,7 +14,7 @@ from pettingzoo import ParallelEnv
 
 from cell.learn.domain.local import ACTIONS, FEATURES, LOCALS
 from cell.learn.domain.presets import Preset, preset
-from cell.learn.domain.vector import Domain, make
+from cell.learn.domain.vector import VectorDomain, make
 from cell.wire.vocabulary import OnionLocation, Prediction
 
 Observation = dict[str, NDArray[Any]]
@@ -47,7 +47,7 @@ class SortingParallelEnv(ParallelEnv[str, Observation, int]):
         )
         self.observation_spaces = dict.fromkeys(self.possible_agents, seen)
         self.action_spaces = {agent: gymnasium.spaces.Discrete(ACTIONS) for agent in self.possible_agents}
-        self._domain: Domain | None = None
+        self._domain: VectorDomain | None = None
         self._episode = 0
         self._local = np.zeros(0, np.int16)
         self._t = 0

@@ -31,15 +31,17 @@ class Preset:
             indication is cleared by the mismatch of the types (`forcing`), labels are drawn again at
             every inspection and there is no truth beyond the prediction. Else the paper's text.
         agents: role of each agent; agent 0 is a robot.
-        horizon: steps of an episode.
-        recovery: steps of a rest.
+        horizon: steps of an episode (in seconds: events, enough for all).
+        seconds: length of an episode whose actions take time; 0: all act in step.
+        durations: CSV file of the actions' seconds; empty: the shipped one.
+        recovery: steps of a rest, or seconds.
         thresholds: a human is fatigued after a step when it has sorted at least as many onions since
             its last rest as a number drawn from these, anew at every step. Empty: never.
         forcing: see `published`; False undoes that rule.
         robot_start: own type of the robots at the start; None: collaborative at a fixed start, either
             at a random one.
         p_blemished: share of blemished onions. p_visible: of those, share that shows at first sight.
-        price: of a step of a robot in industrial mode beside a human at work.
+        price: of a step (or second) of a robot in industrial mode beside a human at work.
         priced_on: what "at work" means: "own" type known and told by the human to be unfatigued;
             "active": a physical action in this step; "hidden": truly unfatigued.
         missed_gestures: share of thumbs that are seen as No-op.
@@ -51,6 +53,8 @@ class Preset:
     published: bool = False
     agents: tuple[str, ...] = ROLES
     horizon: int = 100
+    seconds: float = 0.0
+    durations: str = ""
     recovery: int = 20
     thresholds: tuple[int, ...] = (2, 3, 4, 5)
     forcing: bool = True
@@ -79,6 +83,8 @@ class Preset:
         for name in ("horizon", "recovery"):
             if not 1 <= getattr(self, name) <= 10_000:
                 raise ConfigError(f"{name} must be between 1 and 10000, got {getattr(self, name)}")
+        if not 0.0 <= self.seconds <= 3600.0:
+            raise ConfigError(f"seconds must be between 0 and 3600, got {self.seconds}")
         if any(not 1 <= t <= 1000 for t in self.thresholds):
             raise ConfigError(f"thresholds must be between 1 and 1000, got {self.thresholds}")
 
@@ -96,6 +102,7 @@ class Preset:
 PRESETS = {
     "released": Preset("released", published=True, recovery=5, p_visible=1.0, price=0.0, start="random"),
     "paper": Preset("paper"),
+    "cell": Preset("cell", seconds=180.0, horizon=400, recovery=25),
 }
 """Named tasks."""
 

@@ -6,53 +6,19 @@ and the same calls give the same bits.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import ConfigError
+from cell.learn.domain.interface import Step, VectorDomain, draw_kinds, observer
 from cell.learn.domain.local import ACTIONS, FEATURES, LOCALS, SINK, SIZE, START, with_type
-from cell.learn.domain.presets import Preset, confusion
+from cell.learn.domain.presets import Preset
 from cell.learn.domain.rules import KINDS, SHOWN, SOUND, STEP_COST, forced, phases, tables
 from cell.wire.vocabulary import Action, EefLocation, OnionLocation, Prediction
 
-_LEVELS = 1 << 16
-"""Chances are kept to 1 in 65,536."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """What one step of E episodes with N agents gave.
-
-    Attributes:
-        local: (E, N) int16 local states after the step.
-        observed: (E, N) int8 each agent's action as the others see it.
-        reward_truth, reward_priced, reward_shaped: (E,) float32 team rewards: +1 and -1 by the truth;
-            the same minus the price; the published environment's own.
-        placed, wrong: (E, N) int8 onions put down in this step, and those put wrongly.
-        priced: (E,) a step of a robot in industrial mode beside a human at work.
-        alive: (E,) False once an invalid action has ended the episode.
-        type_hidden, type_own, type_announced: (E, N) int8 types after the step: the truth, what the
-            agent itself knows, what it told last.
-    """
-
-    local: NDArray[np.int16]
-    observed: NDArray[np.int8]
-    reward_truth: NDArray[np.float32]
-    reward_priced: NDArray[np.float32]
-    reward_shaped: NDArray[np.float32]
-    placed: NDArray[np.int8]
-    wrong: NDArray[np.int8]
-    priced: NDArray[np.bool_]
-    alive: NDArray[np.bool_]
-    type_hidden: NDArray[np.int8]
-    type_own: NDArray[np.int8]
-    type_announced: NDArray[np.int8]
-
 
 class Domain:
-    """The vectorised environment; see `make`.
+    """The task in synchronous steps.
 
     Attributes:
         preset, n_envs, n_agents, horizon: sizes. features: (L, 15) float32, encoding of local states.
@@ -86,13 +52,11 @@ class Domain:
         self._thresholds = following.shape[2]
         self._phase_after = following.ravel()
         self._first_rest = len(self._fatigued) - 1
-        edges = np.cumsum([1 - preset.p_blemished, preset.p_blemished * preset.p_visible])
-        self._kind = np.searchsorted(edges, (np.arange(_LEVELS) + 0.5) / _LEVELS, side="right")
+        self._kind = draw_kinds(preset)
         self._fresh = np.zeros(ACTIONS, dtype=bool)
         self._fresh[[Action.DETECT, Action.DETECT_PICK]] = True
         self._fresh[Action.INSPECT] = preset.published
-        seen = confusion(preset)
-        self._seen = None if (seen == np.eye(ACTIONS)).all() else np.cumsum(seen, axis=1)
+        self._observe = observer(preset, self._rng)
         self._placing = np.isin(np.arange(ACTIONS), (Action.PLACE_ON_CONVEYOR, Action.PLACE_IN_BIN))
         self.reset()
 
@@ -203,14 +167,6 @@ class Domain:
             fast |= (own[i] == 1) & (action[i] != Action.SLOW_DOWN)
         return working & fast
 
-    def _observe(self, action: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Actions (N, E) as the others see them."""
-        if self._seen is None:
-            return action
-        u = self._rng.random(action.shape)[..., None]
-        out: NDArray[np.int64] = (u >= self._seen[action][..., :-1]).sum(axis=-1)
-        return out
-
     def _matching_onions(self, local: NDArray[np.int64]) -> NDArray[np.int64]:
         """Kinds (N, E) that fit the predictions of random starts."""
         p, visible = self.preset.p_blemished, self.preset.p_visible
@@ -225,9 +181,13 @@ _RANDOM_STARTS = np.flatnonzero((LOCALS.indicated == 1) & (LOCALS.eef != EefLoca
 """Published: uniform over local states that are indicated and whose hand is not on the conveyor."""
 
 
-def make(preset: Preset, envs: int, seed: int) -> Domain:
-    """`envs` episodes of the task at once, seeded."""
+def make(preset: Preset, envs: int, seed: int) -> VectorDomain:
+    """`envs` episodes of the task at once, seeded: in steps, or in seconds if the preset has any."""
+    if preset.seconds > 0.0:
+        from cell.learn.domain.semi_markov import SemiMarkovDomain
+
+        return SemiMarkovDomain(preset, envs, seed)
     return Domain(preset, envs, seed)
 
 
-__all__ = ["Domain", "Step", "make"]
+__all__ = ["Domain", "Step", "VectorDomain", "make"]
