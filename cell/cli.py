@@ -9,6 +9,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from cell.errors import CellError, ConfigError, one_of
+from cell.learn import cli as learning
 
 BAD_INPUT, FAILED, INTERRUPTED = 2, 1, 130
 
@@ -86,6 +87,11 @@ def run(
     if json_file is not None:
         result.write(json_file)
     raise typer.Exit(0 if result.succeeded else FAILED)
+
+
+app.add_typer(learning.train, name="train")
+app.command()(learning.evaluate)
+app.command()(learning.report)
 
 
 @app.command()

@@ -7,7 +7,7 @@ import platform
 from pathlib import Path
 from typing import Any
 
-from cell.run.result import commit
+from cell.version import commit
 
 
 def provenance(seed: int | None = None) -> dict[str, Any]:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -74,27 +72,3 @@ def judge(truth: Truth) -> tuple[int, int, tuple[str, ...]]:
             misplaced += 1
             lines.append(f"onion {i} ({kind}) ended on the {place} at ({where}) m")
     return misplaced, dropped, tuple(lines)
-
-
-def code_version() -> str:
-    """Version of the installed package, or "unknown"."""
-    try:
-        return version("sorting-cell")
-    except PackageNotFoundError:
-        return "unknown"
-
-
-def commit() -> str:
-    """Short commit of the checkout that holds this file, with "+" when it has changes; or "unknown"."""
-    folder = Path(__file__).resolve().parent
-    try:
-        out = subprocess.run(
-            ["git", "-C", str(folder), "describe", "--always", "--dirty=+", "--abbrev=12"],
-            capture_output=True,
-            text=True,
-            timeout=5,
-            check=True,
-        )
-    except (OSError, subprocess.SubprocessError):
-        return "unknown"
-    return out.stdout.strip()

@@ -26,7 +26,8 @@ from cell.record.recorder import Recorder
 from cell.run.link import Link, LiveLink, StepLink
 from cell.run.measure import Meter
 from cell.run.node_process import NodeProcess
-from cell.run.result import RoundResult, code_version, commit, judge
+from cell.run.result import RoundResult, judge
+from cell.version import code_version, commit
 from cell.wire.session import Session
 from cell.wire.types import Truth, TruthRequest
 from cell.wire.vocabulary import Mode

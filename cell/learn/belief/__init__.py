@@ -1,0 +1,1 @@
+"""Beliefs over a partner's hidden type, from its observed actions."""
