@@ -134,14 +134,15 @@ def report(
     episodes: Annotated[int, typer.Option(help="Evaluation episodes each.")] = 1000,
     settings: Settings = "tuned",
     label: Label = "announced",
+    workers: Annotated[int, typer.Option(help="Processes that train; the result is the same.")] = 1,
 ) -> None:
     """Recompute a table or figure of the paper."""
-    _check(0, seeds=seeds, episodes=episodes)
+    _check(0, seeds=seeds, episodes=episodes, workers=workers)
     from cell.learn import commands
 
     tasks = tuple(_task(text) for text in preset or ("released:5", "paper:5", "paper:20"))
     target = json_file or Path("runs") / f"{what}.json"
-    rows = commands.report(what, target, tasks, seeds, episodes, settings, label)
+    rows = commands.report(what, target, tasks, seeds, episodes, settings, label, workers)
     print(f"{len(rows)} rows written to {target}, picture beside it")
 
 

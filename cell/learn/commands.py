@@ -24,6 +24,7 @@ from cell.learn.belief.gru import GruBelief, save_gru
 from cell.learn.belief.pretrain import MIXED, mixed_data, pretrain
 from cell.learn.belief.tracker import last_gesture
 from cell.learn.demonstrations import LABELS, expert, play
+from cell.learn.domain.experts import without_forcing
 from cell.learn.domain.presets import Preset, preset
 from cell.learn.domain.vector import make
 from cell.learn.export import BELIEF_EDGES, acting, expert_table, from_csv, tabulate, to_csv
@@ -158,6 +159,7 @@ def report(
     episodes: int = 1000,
     settings_name: str = "tuned",
     label: str = "announced",
+    workers: int = 1,
     console: Console | None = None,
 ) -> list[dict[str, Any]]:
     """`cell report`: computes, writes JSON and a PNG of the same name, returns the rows."""
@@ -165,7 +167,7 @@ def report(
         raise ConfigError(f"report: {one_of(what, REPORTS)}")
     runs.single_thread()
     hyper = settings(settings_name, 1)
-    job = reports.Job(seeds, episodes, hyper, label)
+    job = reports.Job(seeds, episodes, hyper, label, workers)
     rows: list[dict[str, Any]] = []
     picture = json_file.with_suffix(".png")
     json_file.parent.mkdir(parents=True, exist_ok=True)
@@ -201,7 +203,7 @@ def evaluate(
     """
     if decoding not in runs.DECODINGS:
         raise ConfigError(f"--decoding: {one_of(decoding, runs.DECODINGS)}")
-    rules = domain(preset_name, recovery, start)
+    rules = without_forcing(domain(preset_name, recovery, start), EXPERTS.get(policy, ""))
     if policy in EXPERTS and human is None:
         people = [last_gesture() for name in rules.agents if not name.startswith("robot")]
         bank, act = bank_of(rules.agents, people), expert(rules, EXPERTS[policy])

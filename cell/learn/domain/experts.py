@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,6 +39,14 @@ def expert_actions(rules: Preset, agent: int, kind: str = "expert") -> NDArray[n
             chooses = robot and not rules.published
             out[state, believed] = _action(state, robot, wanted if chooses else None, inspects)
     return np.concatenate([out, np.zeros_like(out)]) if rules.seconds > 0.0 else out
+
+
+def without_forcing(rules: Preset, kind: str) -> Preset:
+    """The preset in which a robot can keep one mode: the published rules force its changes, so they are
+    undone and the robot starts in its mode. Other presets and kinds stay as they are."""
+    if not rules.published or kind not in ("never-speed-up", "always-industrial"):
+        return rules
+    return replace(rules, forcing=False, robot_start=int(kind == "always-industrial"))
 
 
 def _action(state: int, robot: bool, wanted: int | None, inspects: bool) -> Action:
