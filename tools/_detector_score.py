@@ -50,9 +50,10 @@ def score(detect: Detect, samples: list[Sample], config: CellConfig) -> dict[str
             right += box.label == kinds[best]
             if sample.on_belt[best] and not sample.held[best]:
                 located = locate(box, sample.depth, pinhole, X_WC)
-                errors.append(
-                    np.inf if located is None else float(np.linalg.norm(located.p_WO - sample.p_WO[best]))
-                )
+                if located is None:
+                    unlocated += 1
+                else:
+                    errors.append(float(np.linalg.norm(located.p_WO - sample.p_WO[best])))
         onions += len(sample.boxes)
         found += len(taken)
         seen_well = {i for i, share in enumerate(sample.visible) if share >= CLEAR}
@@ -73,6 +74,8 @@ def score(detect: Detect, samples: list[Sample], config: CellConfig) -> dict[str
             "median": float(np.median(errors) * 1e3) if errors else None,
             "p95": float(np.percentile(errors, 95) * 1e3) if errors else None,
             "max": float(np.max(errors) * 1e3) if errors else None,
+            "boxes": len(errors),
+            "boxes_without_place": unlocated,
         },
     }
 

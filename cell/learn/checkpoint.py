@@ -45,6 +45,21 @@ def save(run: TbDecAirl, path: Path) -> None:
     part.replace(path)  # an interrupted save leaves the previous checkpoint whole
 
 
+def _same_run(run: TbDecAirl, about: dict[str, str], path: Path) -> None:
+    """Refuse a checkpoint of another run, and name what differs."""
+    try:
+        theirs: dict[str, object] = {"preset": about.get("preset"), **json.loads(about.get("settings", "{}"))}
+    except (TypeError, ValueError):
+        raise ConfigError(f"cannot read checkpoint {path}: its settings are damaged") from None
+    ours = {"preset": run.preset.name, **json.loads(json.dumps(asdict(run.settings)))}
+    different = [f"{k} {theirs.get(k)}, not {v}" for k, v in ours.items() if theirs.get(k) != v]
+    if different:
+        raise ConfigError(
+            f"{path} belongs to another run ({'; '.join(different)}); continue it with its own options, "
+            "or choose another folder"
+        )
+
+
 def restore(run: TbDecAirl, path: Path) -> None:
     """Bring a freshly made run to where the checkpoint was written.
 
@@ -52,12 +67,7 @@ def restore(run: TbDecAirl, path: Path) -> None:
         ConfigError: missing, damaged, or of another preset or other settings.
     """
     about, tensors = _read(path)
-    wanted = json.dumps(asdict(run.settings), sort_keys=True)
-    if about.get("preset") != run.preset.name or about.get("settings") != wanted:
-        raise ConfigError(
-            f"{path} belongs to preset {about.get('preset')} with settings {about.get('settings')}; "
-            f"this run is preset {run.preset.name} with settings {wanted}"
-        )
+    _same_run(run, about, path)
     try:
         for name, module in _modules(run).items():
             module.load_state_dict(_under(tensors, name))

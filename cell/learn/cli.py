@@ -30,7 +30,7 @@ def train_belief(
     preset: Preset = "paper",
     label: Label = "announced",
     seed: Seed = 1,
-    updates: Annotated[int, typer.Option(help="Gradient steps.")] = 350,
+    updates: Annotated[int, typer.Option(help="Gradient steps.")] = 1800,
     out: Out = None,
 ) -> None:
     """Train the GRU belief on the task's own types, over mixed recovery times."""
@@ -123,7 +123,7 @@ def evaluate(
 
 
 def report(
-    what: Annotated[str, typer.Argument(help="table1, fig4, theorem1 or recovery.")],
+    what: Annotated[str, typer.Argument(help="table1, fig4, theorem1, recovery or robustness.")],
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Write here; a PNG of the same name goes beside it.")
     ] = None,

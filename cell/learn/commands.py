@@ -28,6 +28,7 @@ from cell.learn.domain.experts import without_forcing
 from cell.learn.domain.presets import Preset, preset
 from cell.learn.domain.vector import make
 from cell.learn.export import BELIEF_EDGES, acting, expert_table, from_csv, tabulate, to_csv
+from cell.learn.job import Job
 from cell.learn.metrics import summary
 from cell.learn.settings import PRESETS, Settings
 
@@ -37,7 +38,7 @@ EXPERTS = {
     "expert-always-industrial": "always-industrial",
 }
 """Policies of `cell evaluate` that need no file, and the rules behind them."""
-REPORTS = ("table1", "fig4", "theorem1", "recovery")
+REPORTS = tuple(reports.REPORTS)
 
 
 @contextmanager
@@ -80,7 +81,7 @@ def write_json(path: Path, data: object) -> None:
 
 
 def train_belief(
-    preset_name: str, label: str, seed: int, out: Path, updates: int = 350, console: Console | None = None
+    preset_name: str, label: str, seed: int, out: Path, updates: int = 1800, console: Console | None = None
 ) -> Path:
     """`cell train belief`: a GRU on mixed recovery times; writes weights and their test AUC."""
     if label not in LABELS:
@@ -91,7 +92,8 @@ def train_belief(
         net = pretrain(rules, label, seed=seed, updates=updates, progress=lambda _, loss: tick(f"{loss:.4f}"))
     out.mkdir(parents=True, exist_ok=True)
     target = out / f"{preset_name}-{label}.safetensors"
-    about = {"preset": preset_name, "label": label, "seed": str(seed), "recovery": f"{MIXED[0]}..{MIXED[-1]}"}
+    about = {"preset": preset_name, "label": label, "seed": str(seed), "updates": str(updates)}
+    about["recovery"] = f"{MIXED[0]}..{MIXED[-1]}"
     save_gru(net, target, about)
     scores = {}
     for recovery in (6, 10, 20, 30, 40):
@@ -167,7 +169,7 @@ def report(
         raise ConfigError(f"report: {one_of(what, REPORTS)}")
     runs.single_thread()
     hyper = settings(settings_name, 1)
-    job = reports.Job(seeds, episodes, hyper, label, workers)
+    job = Job(seeds, episodes, hyper, label, workers)
     rows: list[dict[str, Any]] = []
     picture = json_file.with_suffix(".png")
     json_file.parent.mkdir(parents=True, exist_ok=True)

@@ -1,8 +1,9 @@
 """A net of arm poses that are free and connected, for ways that no simple route finds.
 
-Built once, by `prepare` or when first needed: tool poses all round the base, at two distances, three heights and
-several tilts, joined where the straight joint move between neighbours keeps clear with an onion
-in the hand. A way is the shortest one through the net, with every pose left out that can be.
+Built once, by `prepare` or when first needed: tool poses all round the base, at two distances,
+three heights and several tilts, joined where the straight joint move between neighbours keeps clear
+with an onion in the hand. A way is the shortest one through the net, with every pose left out that
+can be.
 """
 
 from __future__ import annotations

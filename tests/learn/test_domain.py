@@ -14,10 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cell.errors import ConfigError
+from cell.learn.domain.exact import rule_value
 from cell.learn.domain.experts import expert_actions
 from cell.learn.domain.local import FEATURES, LOCALS, SINK, SIZE, local_id
 from cell.learn.domain.presets import Preset, confusion, preset
 from cell.learn.domain.rules import phases, tables
+from cell.learn.domain.starts import start_chances
 from cell.learn.domain.vector import Step, make
 from cell.wire.vocabulary import Action
 
@@ -46,9 +48,14 @@ def play(rules: Preset, kind: str = "expert", episodes: int = EPISODES, seed: in
 
 
 def agrees(ours: np.ndarray, mean: float, sd: float, episodes: int) -> bool:
-    """Both means are within their joint 95 % interval (and the oracle's last digit)."""
+    """Both means are within their joint 95 % interval (and the published figure's last digit)."""
     error = 1.96 * np.sqrt(ours.var() / len(ours) + sd**2 / episodes)
     return bool(abs(ours.mean() - mean) <= error + 0.05)
+
+
+def expected(ours: np.ndarray, exact: float) -> bool:
+    """The mean is within 2.6 standard errors (99 %) of an exact value."""
+    return bool(abs(ours.mean() - exact) <= 2.6 * ours.std() / np.sqrt(len(ours)) + 1e-3)
 
 
 PUBLISHED = [
@@ -85,6 +92,30 @@ def test_released_gives_the_published_codes_numbers(
     assert onions.mean(axis=0) == pytest.approx([robots, humans], abs=0.2)
 
 
+def test_agents_that_nothing_binds_are_independent() -> None:
+    """With the forcing rule undone the variances of their onions add up."""
+    rules = preset("released", forcing=False, robot_start=1)
+    onions = play(rules, episodes=4000)["onions"]
+    apart, together = onions.var(axis=0).sum(), onions.sum(axis=1).var()
+    assert together == pytest.approx(apart, rel=0.08)
+    assert abs(np.corrcoef(onions.T)[0, 1]) < 2.6 / np.sqrt(4000)
+
+
+@pytest.mark.parametrize("start", ["fixed", "random"])
+@pytest.mark.parametrize("kind", ["expert", "never-inspect"])
+def test_released_gives_the_exact_expectation(start: str, kind: str) -> None:
+    """Forced mode changes, re-drawn labels and random starts included; here the human inspects too."""
+    rules = preset("released", start=start)
+    domain = make(rules, 3000, 17)
+    policy = [expert_actions(rules, 0, kind), expert_actions(rules, 1)]
+    local, reward = domain.reset(), np.zeros(3000)
+    for _ in range(rules.horizon):
+        step = domain.step(np.stack([p[local[:, i], 0] for i, p in enumerate(policy)], axis=1))
+        local = step.local
+        reward += step.reward_truth
+    assert expected(reward, rule_value(rules, kind))
+
+
 def test_released_own_reward() -> None:
     assert agrees(play(preset("released"))["reward_shaped"], 64.7, 2.5, 400)
     assert agrees(play(preset("released", start="fixed"))["reward_shaped"], 65.0, 2.3, 400)
@@ -119,27 +150,41 @@ def test_an_invalid_action_ends_the_episode_with_the_step_cost() -> None:
     later = domain.step(np.array([[3, 3], [1, 1], [1, 1]]))
     assert later.alive.tolist() == [True, False, False]
     np.testing.assert_allclose(later.reward_shaped[1:], 0.0)
+    assert (later.type_own[1:] == 0).all() and (later.placed[1:] == 0).all()
 
 
 PAPER = [
-    # recovery, policy, onions, robot's, priced reward (4,000 episodes each)
-    (5, "expert", 41.84, 25.3, 38.76),
-    (5, "never-speed-up", 42.86, 26.3, 42.86),
-    (5, "always-industrial", 52.24, 35.7, 21.03),
-    (20, "expert", 39.40, 30.1, 38.05),
-    (20, "never-speed-up", 35.59, 26.3, 35.59),
-    (20, "always-industrial", 44.97, 35.7, 27.39),
-    (40, "expert", 37.82, 32.7, 37.27),
+    # recovery, policy, onions, robot's, reward priced on own and on hidden, priced steps (4,000 episodes)
+    (5, "expert", 41.84, 25.3, 38.76, 32.78, 6.2),
+    (5, "never-speed-up", 42.86, 26.3, 42.86, 42.86, 0.0),
+    (5, "always-industrial", 52.24, 35.7, 21.03, 18.21, 62.4),
+    (10, "expert", 40.36, 27.7, 38.47, 34.14, 3.8),
+    (10, "never-speed-up", 39.01, 26.3, 39.01, 39.01, 0.0),
+    (10, "always-industrial", 48.38, 35.7, 24.40, 22.54, 48.0),
+    (20, "expert", 39.40, 30.1, 38.05, 35.07, 2.7),
+    (20, "never-speed-up", 35.59, 26.3, 35.59, 35.59, 0.0),
+    (20, "always-industrial", 44.97, 35.7, 27.39, 26.10, 35.2),
+    (40, "expert", 37.82, 32.7, 37.27, 35.89, 1.1),
+    (40, "never-speed-up", 31.42, 26.3, 31.42, 31.42, 0.0),
+    (40, "always-industrial", 40.80, 35.7, 31.03, 30.65, 19.5),
 ]
 
 
-@pytest.mark.parametrize(("recovery", "kind", "onions", "robots", "priced"), PAPER)
+@pytest.mark.parametrize(("recovery", "kind", "onions", "robots", "own", "hidden", "steps"), PAPER)
 def test_paper_agrees_with_an_independent_simulation(
-    recovery: int, kind: str, onions: float, robots: float, priced: float
+    recovery: int, kind: str, onions: float, robots: float, own: float, hidden: float, steps: float
 ) -> None:
     total = play(preset("paper", recovery=recovery), kind)
-    assert agrees(total["onions"].sum(axis=1), onions, 1.2, 4000)
-    assert agrees(total["reward_priced"], priced, 2.0, 4000)
+    unpriced = rule_value(preset("paper", recovery=recovery, price=0.0), kind)
+    assert unpriced == pytest.approx(onions, abs=1.96 * 1.2 / np.sqrt(4000) + 0.005)
+    assert expected(total["onions"].sum(axis=1), unpriced)
+    for priced_on, reward in (("own", own), ("active", own), ("hidden", hidden)):
+        rules = preset("paper", recovery=recovery, priced_on=priced_on)
+        exact = rule_value(rules, kind)
+        # Exact against the mean of 4,000 episodes, rounded; then ours against exact.
+        assert exact == pytest.approx(reward, abs=1.96 * 1.8 / np.sqrt(4000) + 0.005)
+        assert expected(play(rules, kind)["reward_priced"], exact)
+    assert total["priced"].mean() == pytest.approx(steps, abs=0.2)
     assert total["onions"][:, 0].mean() == pytest.approx(robots, abs=0.15)
     np.testing.assert_array_equal(total["reward_truth"], total["onions"].sum(axis=1))  # none sorted wrongly
 
@@ -195,6 +240,28 @@ def test_masked_actions_are_refused_by_the_paper_preset() -> None:
         domain.step(np.array([[5, 1], [1, 1]]))
 
 
+@pytest.mark.parametrize("name", ["released", "paper", "cell"])
+@pytest.mark.parametrize(
+    "actions",
+    [[[9, 1], [1, 1]], [[1, 1], [1, -1]], [[1, 1], [1, -8]], [[1, 1]], [1, 1], [[1.0, 1.0], [1.0, 1.0]]],
+)
+def test_what_is_no_action_is_refused(name: str, actions: list[Any]) -> None:
+    domain = make(preset(name, start="fixed"), 2, 1)
+    before = domain.reset()
+    with pytest.raises(ConfigError, match="actions must be"):
+        domain.step(np.array(actions))
+    np.testing.assert_array_equal(domain.reset(), before)
+
+
+@pytest.mark.parametrize("name", ["released", "paper", "cell"])
+def test_random_starts_are_the_published_52_without_the_derived_flag(name: str) -> None:
+    local = make(preset(name, start="random"), 4000, 2).reset()
+    assert [len(np.unique(local[:, i])) for i in range(2)] == [52 // 2] * 2
+    for i, role in enumerate(("robot", "human")):
+        seen = np.bincount(local[:, i], minlength=SIZE) / 4000
+        np.testing.assert_allclose(seen, start_chances(preset(name, start="random"), role), atol=0.015)
+
+
 def test_the_same_seed_gives_the_same_bits_and_another_does_not() -> None:
     def bits(seed: int) -> bytes:
         rules = preset("paper", missed_gestures=0.2, misread_actions=0.1)
@@ -225,6 +292,23 @@ def test_observations_are_a_distribution(missed: float, misread: float) -> None:
     seen = confusion(preset("paper", missed_gestures=missed, misread_actions=misread))
     assert (seen >= 0).all()
     np.testing.assert_allclose(seen.sum(axis=1), 1.0)
+
+
+def test_a_confusion_of_ones_own_is_what_the_others_see() -> None:
+    """Every thumbs-down is taken for No-op, and nothing else is misread."""
+    seen = np.eye(9)
+    seen[8] = np.eye(9)[0]
+    rules = preset("paper", observation=tuple(tuple(row) for row in seen.tolist()))
+    domain = make(rules, 200, 3)
+    policy = [expert_actions(rules, i) for i in range(2)]
+    local, downs = domain.reset(), 0
+    for _ in range(40):
+        action = np.stack([p[local[:, i], 0] for i, p in enumerate(policy)], axis=1)
+        step = domain.step(action)
+        np.testing.assert_array_equal(step.observed, np.where(action == 8, 0, action))
+        downs += int((action == 8).sum())
+        local = step.local
+    assert downs > 0
 
 
 def test_gestures_are_missed_as_often_as_configured() -> None:
@@ -269,7 +353,17 @@ def test_local_states() -> None:
         ({"start": "anywhere"}, "start"),
         ({"agents": ("human", "robot")}, "first is a robot"),
         ({"recovery": 0}, "recovery"),
+        ({"recovery": 2.5}, "recovery"),
+        ({"recovery": "long"}, "recovery"),
         ({"priced_on": "x"}, "priced_on"),
+        ({"price": float("nan")}, "price"),
+        ({"price": -1.0}, "price"),
+        ({"robot_start": 5}, "robot_start"),
+        ({"thresholds": 3}, "thresholds"),
+        ({"thresholds": (0,)}, "thresholds"),
+        ({"observation": ((1.0,),)}, "observation"),
+        ({"observation": ((0.5,) * 9,) * 9}, "observation, row no_op"),
+        ({"observation": ((1.0,) + (0.0,) * 8,) * 9, "missed_gestures": 0.1}, "give one"),
     ],
 )
 def test_bad_presets_are_named(changes: dict[str, Any], words: str) -> None:

@@ -55,3 +55,28 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path: Path, args: tuple[objec
     lines = run.stderr.strip().splitlines()
     assert run.returncode == 2 and len(lines) == 1 and words in lines[0], run.stderr
     assert not (tmp_path / "runs").exists()
+
+
+def test_train_writes_what_the_supervisor_loads_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    from cell.decision.policy import load
+
+    options = ("--preset", "paper", "--seed", 2, "--out", "run")
+    for _ in range(2):
+        run = cell("train", "tb-decairl", *options, "--iterations", 2, cwd=tmp_path)
+        assert run.returncode == 0, run.stderr
+    run = cell("train", "tb-decairl", *options, "--iterations", 3, cwd=tmp_path)
+    assert run.returncode == 2 and "iterations 2, not 3" in run.stderr
+    for agent in ("robot", "human"):
+        assert len(load(str(tmp_path / "run" / f"{agent}.csv")).actions) == 64 * 20
+    curve = json.loads((tmp_path / "run" / "curve.json").read_text())
+    assert [p["iteration"] for p in curve["progress"]] == [1, 2]
+    assert (tmp_path / "run" / "curve.png").stat().st_size > 5000
+    # The exported table scores as the network does (both greedy, 1,000 episodes).
+    result = json.loads((tmp_path / "run" / "result.json").read_text())["greedy"]["reward_priced"]
+    run = cell(
+        "evaluate", "--policy", "run/robot.csv", "--human", "run/human.csv", "--seed", 4321,
+        "--json", "e.json", cwd=tmp_path,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    again = json.loads((tmp_path / "e.json").read_text())["reward_priced"]
+    assert again["mean"] == pytest.approx(result["mean"], abs=1.5 * (again["ci95"] + result["ci95"]) + 0.05)

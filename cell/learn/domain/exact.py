@@ -4,7 +4,8 @@ The published human does not react to the robot, so it is a Markov chain over it
 its phase of fatigue. With that chain known, the best robot follows from backward induction over
 the episode; it is an upper bound for every policy that has to guess the human's type. QMDP on the
 exact filter is a policy that only sees what can be observed, and so a lower bound of the best of
-those. One robot, one human; the paper's rules (a robot that may choose).
+those. One robot, one human, acting in step; fixed or random starts, the paper's rules or the
+published ones (there the robot's only choice is what to do with a held onion).
 """
 
 from __future__ import annotations
@@ -16,38 +17,13 @@ from numpy.typing import NDArray
 
 from cell.errors import ConfigError
 from cell.learn.domain.experts import expert_actions
-from cell.learn.domain.local import ACTIONS, LOCALS, SIZE, START
+from cell.learn.domain.local import ACTIONS, LOCALS, SIZE
 from cell.learn.domain.presets import Preset, confusion
-from cell.learn.domain.rules import CONCEALED, KINDS, SHOWN, SOUND, Tables, phases, tables
-from cell.wire.vocabulary import Action, Prediction
+from cell.learn.domain.rules import Tables, forced, kind_chances, phases, tables
+from cell.learn.domain.starts import start_chances
+from cell.wire.vocabulary import Action
 
 Floats = NDArray[np.float64]
-
-
-def kind_chances(rules: Preset, local: int) -> Floats:
-    """P(kind of the onion | what the local state knows of it), shape (3,).
-
-    Nothing in focus: the next onion's. A blemished prediction has seen it; an unblemished one at
-    first sight may still hide a blemish, after Inspect it does not.
-    """
-    p, visible = rules.p_blemished, rules.p_visible
-    prediction = LOCALS.prediction[local]
-    prior: Floats = np.array([1 - p, p * visible, p * (1 - visible)])
-    if prediction == Prediction.UNKNOWN:
-        return prior
-    if prediction == Prediction.BLEMISHED:
-        return _certain(SHOWN)
-    if LOCALS.eef[local] == LOCALS.onion[local] == 2:  # inspected, in front
-        return _certain(SOUND)
-    left: Floats = np.array([prior[SOUND], 0.0, prior[CONCEALED]])
-    out: Floats = left / left.sum()
-    return out
-
-
-def _certain(kind: int) -> Floats:
-    out: Floats = np.zeros(KINDS)
-    out[kind] = 1.0
-    return out
 
 
 @dataclass(frozen=True)
@@ -56,7 +32,7 @@ class HumanChain:
 
     Attributes:
         local, phase: (H,). action: (H,) what the human does in each. move: (H, H) transition matrix.
-        reward: (H,) expected sorting reward of the action. start: index of the fixed start.
+        reward: (H,) expected sorting reward of the action. start: (H,) chances at the start.
         types: per label (hidden, own, announced) (H,) type in that state.
     """
 
@@ -65,12 +41,12 @@ class HumanChain:
     action: NDArray[np.int64]
     move: Floats
     reward: Floats
-    start: int
+    start: Floats
     types: dict[str, NDArray[np.int64]]
 
 
 def human_chain(rules: Preset) -> HumanChain:
-    """Enumerate the human's states from the fixed start.
+    """Enumerate the human's states from where episodes start.
 
     Raises:
         ConfigError: the preset has other agents than one robot and one human.
@@ -79,12 +55,15 @@ def human_chain(rules: Preset) -> HumanChain:
         raise ConfigError("the exact solution is for one robot and one human, in steps")
     table, policy = tables(rules, "human"), expert_actions(rules, 1)[:, 0]
     after, fatigued = phases(rules)
-    found: dict[tuple[int, int], int] = {(START, 0): 0}
-    waiting, moves, rewards = [(START, 0)], [], []
+    begin = start_chances(rules, "human")
+    rest = len(fatigued) - 1
+    waiting = [(int(s), rest * int(LOCALS.own_type[s] == 1)) for s in np.flatnonzero(begin)]
+    found = {key: k for k, key in enumerate(waiting)}
+    moves, rewards = [], []
     while waiting:
         local, phase = waiting.pop(0)
         action = int(policy[local])
-        chances, reward = kind_chances(rules, local), 0.0
+        chances, reward = kind_chances(rules, local, action), 0.0
         placed = int(action in (Action.PLACE_ON_CONVEYOR, Action.PLACE_IN_BIN))
         here: dict[tuple[int, int], float] = {}
         for kind in np.flatnonzero(chances):
@@ -106,7 +85,12 @@ def human_chain(rules: Preset) -> HumanChain:
             move[row, found[key]] += chance
     own, told = LOCALS.own_type[locals_], LOCALS.indicated[locals_]
     types = {"hidden": fatigued[phases_], "own": own, "announced": np.where(told == 1, own, 1 - own)}
-    return HumanChain(locals_, phases_, policy[locals_].astype(np.int64), move, np.array(rewards), 0, types)
+    start = np.zeros(len(found))
+    firsts = np.flatnonzero(begin)
+    start[: len(firsts)] = begin[firsts]
+    return HumanChain(
+        locals_, phases_, policy[locals_].astype(np.int64), move, np.array(rewards), start, types
+    )
 
 
 class BestResponse:
@@ -114,12 +98,10 @@ class BestResponse:
 
     Attributes:
         q: (T, H, L, 9) value of an action with the human's state known; -inf where not allowed.
-        value: expected reward of an episode from the fixed start, the human's share included.
+        value: expected reward of an episode, the human's share included.
     """
 
     def __init__(self, rules: Preset, *, priced: bool = True) -> None:
-        if rules.published:
-            raise ConfigError("the exact solution needs a robot that may choose: not the published rules")
         self.rules, self.chain = rules, human_chain(rules)
         table = tables(rules, "robot")
         robot, reward = _robot_model(rules, table)
@@ -127,13 +109,36 @@ class BestResponse:
         gain = reward[None] - price + self.chain.reward[:, None, None]
         gain = np.where(table.valid[None], gain, -np.inf)
         value = np.zeros((len(self.chain.local), SIZE))
+        # Published: what the human is told to be after the step may clear the robot's indication.
+        robots_own = forced(rules)[:, self.chain.local].T  # (H, L)
         self.q = np.empty((rules.horizon, *gain.shape), dtype=np.float32)
         for t in reversed(range(rules.horizon)):
-            ahead = self.chain.move @ value
-            q = gain + np.einsum("hm,lam->hla", ahead, robot)
+            ahead = self.chain.move @ np.take_along_axis(value, robots_own, axis=1)
+            q = gain + (ahead @ robot.reshape(-1, SIZE).T).reshape(gain.shape)
             self.q[t] = q
             value = np.where(np.isfinite(q).any(axis=2), q.max(axis=2), 0.0)
-        self.value = float(value[self.chain.start, START])
+        self.value = float(self.chain.start @ value @ start_chances(rules, "robot"))
+
+
+def rule_value(rules: Preset, kind: str = "expert") -> float:
+    """Expected reward (priced) of an episode of a hand-coded robot rule that goes by what was told last.
+
+    Exact, without sampling: the reference that simulations are checked against.
+    """
+    chain, table = human_chain(rules), tables(rules, "robot")
+    robot, reward = _robot_model(rules, table)
+    action = expert_actions(rules, 0, kind)[:, chain.types["announced"]].T.astype(np.intp)  # (H, L)
+    gain = np.take_along_axis(reward[None] - _price(rules, chain), action[..., None], axis=2)[..., 0]
+    gain = gain + chain.reward[:, None]
+    move = robot[np.arange(SIZE), action]  # (H, L, L)
+    robots_own = forced(rules)[:, chain.local].T  # (H, L)
+    chance, total = np.outer(chain.start, start_chances(rules, "robot")), 0.0
+    for _ in range(rules.horizon):
+        total += float((chance * gain).sum())
+        met = chain.move.T @ (chance[:, None] @ move)[:, 0]
+        chance = np.zeros_like(met)
+        np.add.at(chance, (np.arange(len(met))[:, None], robots_own), met)
+    return total
 
 
 def _robot_model(rules: Preset, table: Tables) -> tuple[Floats, Floats]:
@@ -141,7 +146,7 @@ def _robot_model(rules: Preset, table: Tables) -> tuple[Floats, Floats]:
     move, reward = np.zeros((SIZE, ACTIONS, SIZE)), np.zeros((SIZE, ACTIONS))
     for local, action in zip(*np.nonzero(table.valid), strict=True):
         placed = action in (Action.PLACE_ON_CONVEYOR, Action.PLACE_IN_BIN)
-        for kind, chance in enumerate(kind_chances(rules, int(local))):
+        for kind, chance in enumerate(kind_chances(rules, int(local), int(action))):
             following = table.following[local, LOCALS.own_type[local], action, kind]
             move[local, action, following] += chance
             reward[local, action] += placed * chance * (1 - 2 * table.wrong[local, action, kind])
@@ -179,9 +184,8 @@ class SemiMarkovFilter:
         self.state: Floats = np.zeros((0, len(self.chain.local)))
 
     def reset(self, n_envs: int) -> NDArray[np.float32]:
-        """Start new episodes at the fixed start; the belief (E,)."""
-        self.state = np.zeros((n_envs, len(self.chain.local)))
-        self.state[:, self.chain.start] = 1.0
+        """Start new episodes; the belief (E,)."""
+        self.state = np.tile(self.chain.start, (n_envs, 1))
         return self._belief()
 
     def update(self, observed: NDArray[np.integer]) -> NDArray[np.float32]:

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.errors import ConfigError
 from cell.learn.domain.local import ACTIONS
 from cell.learn.domain.presets import Preset, confusion
 
@@ -67,6 +68,22 @@ class VectorDomain(Protocol):
     def step(self, actions: NDArray[np.integer]) -> Step:
         """Let one step pass under actions (E, N)."""
         ...
+
+
+def checked(actions: NDArray[np.integer], envs: int, agents: int) -> NDArray[np.int64]:
+    """Actions (E, N) as (N, E), in memory that a table look-up can rely on.
+
+    Raises:
+        ConfigError: another shape, no integers, or a number that is no action's.
+    """
+    if actions.shape != (envs, agents) or actions.dtype.kind not in "iu":
+        raise ConfigError(
+            f"actions must be integers of shape ({envs}, {agents}), got {actions.dtype} {actions.shape}"
+        )
+    out = np.ascontiguousarray(actions.T, dtype=np.int64)
+    if out.view(np.uint64).max() >= ACTIONS:  # negative numbers are huge ones here
+        raise ConfigError(f"actions must be from 0 to {ACTIONS - 1}, got {out.min()} to {out.max()}")
+    return out
 
 
 def draw_kinds(rules: Preset) -> NDArray[np.int64]:

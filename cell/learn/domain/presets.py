@@ -46,6 +46,7 @@ class Preset:
             "active": a physical action in this step; "hidden": truly unfatigued.
         missed_gestures: share of thumbs that are seen as No-op.
         misread_actions: share of all actions that are seen as another one, each equally likely.
+        observation: (9, 9) P(observed | done), in place of these two shares; empty: by them.
         start: "fixed" or "random" local states.
     """
 
@@ -65,6 +66,7 @@ class Preset:
     priced_on: str = "own"
     missed_gestures: float = 0.0
     misread_actions: float = 0.0
+    observation: tuple[tuple[float, ...], ...] = ()
     start: str = "fixed"
 
     def __post_init__(self) -> None:
@@ -81,12 +83,22 @@ class Preset:
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ConfigError(f"{name} must be between 0 and 1, got {getattr(self, name)}")
         for name in ("horizon", "recovery"):
-            if not 1 <= getattr(self, name) <= 10_000:
-                raise ConfigError(f"{name} must be between 1 and 10000, got {getattr(self, name)}")
+            if not _whole(getattr(self, name), 1, 10_000):
+                raise ConfigError(
+                    f"{name} must be a whole number from 1 to 10000, got {getattr(self, name)!r}"
+                )
         if not 0.0 <= self.seconds <= 3600.0:
             raise ConfigError(f"seconds must be between 0 and 3600, got {self.seconds}")
-        if any(not 1 <= t <= 1000 for t in self.thresholds):
-            raise ConfigError(f"thresholds must be between 1 and 1000, got {self.thresholds}")
+        if not 0.0 <= self.price <= 1000.0:
+            raise ConfigError(f"price must be between 0 and 1000, got {self.price}")
+        if self.robot_start is not None and not _whole(self.robot_start, 0, 1):
+            raise ConfigError(f"robot_start must be None, 0 or 1, got {self.robot_start!r}")
+        if not isinstance(self.thresholds, tuple) or not all(_whole(t, 1, 1000) for t in self.thresholds):
+            raise ConfigError(
+                f"thresholds must be a tuple of whole numbers from 1 to 1000, got {self.thresholds!r}"
+            )
+        if self.observation:
+            _check_observation(self)
 
     @property
     def humans(self) -> tuple[int, ...]:
@@ -97,6 +109,23 @@ class Preset:
     def robots(self) -> tuple[int, ...]:
         """Indices of the robots."""
         return tuple(i for i, role in enumerate(self.agents) if role == "robot")
+
+
+def _whole(value: object, least: int, most: int) -> bool:
+    return isinstance(value, int | np.integer) and bool(least <= value <= most)
+
+
+def _check_observation(rules: Preset) -> None:
+    if rules.missed_gestures or rules.misread_actions:
+        raise ConfigError("observation takes the place of missed_gestures and misread_actions: give one")
+    rows = rules.observation
+    if len(rows) != ACTIONS or any(len(row) != ACTIONS for row in rows):
+        raise ConfigError(f"observation must have {ACTIONS} rows of {ACTIONS} chances")
+    for action, row in zip(Action, rows, strict=True):
+        if not all(0.0 <= p <= 1.0 for p in row) or abs(sum(row) - 1.0) > 1e-6:
+            raise ConfigError(
+                f"observation, row {action.name.lower()}: chances from 0 to 1 that sum to 1, got {row}"
+            )
 
 
 PRESETS = {
@@ -124,6 +153,8 @@ def preset(name: str, **changes: Any) -> Preset:
 
 def confusion(rules: Preset) -> NDArray[np.float64]:
     """P(observed | done), shape (9, 9), rows sum to 1."""
+    if rules.observation:
+        return np.array(rules.observation)
     thumbs = (Action.SPEED_UP, Action.SLOW_DOWN)
     seen = np.eye(ACTIONS)
     for thumb in thumbs:

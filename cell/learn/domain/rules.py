@@ -165,6 +165,39 @@ def _shaped(state: int, action: Action, role: str) -> float:
     return 1.0 if action is Action.INSPECT and promising else 0.0
 
 
+def drawing(rules: Preset) -> NDArray[np.bool_]:
+    """Actions (9,) that draw the onion's kind: those that look, and every published inspection."""
+    out = np.isin(np.arange(ACTIONS), _LOOKS)
+    out[Action.INSPECT] = rules.published
+    return out
+
+
+def kind_chances(rules: Preset, local: int, action: int) -> NDArray[np.float64]:
+    """P(kind of the onion that an action meets | what the local state knows of it), shape (3,).
+
+    An action that draws a kind, or nothing in focus: any onion's. A blemished prediction has seen it;
+    an unblemished one at first sight may still hide a blemish, after Inspect it does not.
+    """
+    p, visible = rules.p_blemished, rules.p_visible
+    prediction = LOCALS.prediction[local]
+    prior: NDArray[np.float64] = np.array([1 - p, p * visible, p * (1 - visible)])
+    if prediction == Prediction.UNKNOWN or drawing(rules)[action]:
+        return prior
+    if prediction == Prediction.BLEMISHED:
+        return _certain(SHOWN)
+    if LOCALS.onion[local] == OnionLocation.IN_FRONT:  # inspected
+        return _certain(SOUND)
+    left: NDArray[np.float64] = np.array([prior[SOUND], 0.0, prior[CONCEALED]])
+    out: NDArray[np.float64] = left / left.sum()
+    return out
+
+
+def _certain(kind: int) -> NDArray[np.float64]:
+    out: NDArray[np.float64] = np.zeros(KINDS)
+    out[kind] = 1.0
+    return out
+
+
 def forced(rules: Preset) -> NDArray[np.int64]:
     """Robot's local state (L, L) by its own and the human's: the published mismatch rule.
 

@@ -3,6 +3,10 @@
 The domain moves from event to event; an event is the end of at least one agent's action. An agent
 in the middle of its action is in the busy twin of its local state, whose only action is No-op, so
 that policies, masks and learners stay what they are. An episode has a fixed length in seconds.
+
+What the paper leaves open: a human can tire at the end of a placement, not at every step, for there
+are no steps; the price is per second, and `Step.priced` marks events, not seconds; the published
+shaped reward has no meaning without steps, so that it is the reward by the truth.
 """
 
 from __future__ import annotations
@@ -15,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import ConfigError, one_of
-from cell.learn.domain.interface import Step, draw_kinds, observer
-from cell.learn.domain.local import ACTIONS, FEATURES, LOCALS, SIZE, START, with_type
+from cell.learn.domain.interface import Step, checked, draw_kinds, observer
+from cell.learn.domain.local import ACTIONS, FEATURES, LOCALS, SIZE
 from cell.learn.domain.presets import ROLES, Preset
-from cell.learn.domain.rules import SOUND, tables
+from cell.learn.domain.rules import tables
+from cell.learn.domain.starts import draw_starts
 from cell.wire.vocabulary import Action, RobotType
 
 BUSY = SIZE
@@ -106,24 +111,23 @@ class SemiMarkovDomain:
         """Start new episodes; local states (E, N)."""
         count, agents = self.n_envs, self.n_agents
         self.time = np.zeros(count)
-        self._local = np.full((agents, count), START)
-        for i in self.preset.robots:
-            self._local[i] = with_type(self._local[i], self.preset.robot_start or 0)
+        self._local, self._onion = draw_starts(self.preset, count, self._rng)
         self._left = np.zeros((agents, count))
         self._doing = np.zeros((agents, count), dtype=np.int64)
-        self._onion = np.full((agents, count), SOUND)
         self._since = np.zeros((agents, count), dtype=np.int64)
         self._rest = np.zeros((agents, count))
-        self._told = np.zeros((agents, count), dtype=np.int8)
+        for i in self.preset.humans:
+            self._rest[i] = LOCALS.own_type[self._local[i]] * float(self.preset.recovery)
+        self._told = LOCALS.own_type[self._local].astype(np.int8)
         return self._seen_local()
 
     def step(self, actions: NDArray[np.integer]) -> Step:
         """Free agents start their actions (E, N); time moves to the next end of an action.
 
         Raises:
-            ConfigError: an action that the mask forbids.
+            ConfigError: another shape, no action's number, or a free agent's action that the mask forbids.
         """
-        action = np.ascontiguousarray(actions.T, dtype=np.int64)
+        action = checked(actions, self.n_envs, self.n_agents)
         over = self.time >= self.preset.seconds - _EPS
         free = (self._left <= _EPS) & ~over
         for i in range(self.n_agents):

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import ConfigError
-from cell.learn.domain.interface import Step, VectorDomain, draw_kinds, observer
-from cell.learn.domain.local import ACTIONS, FEATURES, LOCALS, SINK, SIZE, START, with_type
+from cell.learn.domain.interface import Step, VectorDomain, checked, draw_kinds, observer
+from cell.learn.domain.local import ACTIONS, FEATURES, LOCALS, SINK, SIZE
 from cell.learn.domain.presets import Preset
-from cell.learn.domain.rules import KINDS, SHOWN, SOUND, STEP_COST, forced, phases, tables
-from cell.wire.vocabulary import Action, EefLocation, OnionLocation, Prediction
+from cell.learn.domain.rules import KINDS, STEP_COST, drawing, forced, phases, tables
+from cell.learn.domain.starts import draw_starts
+from cell.wire.vocabulary import Action
 
 
 class Domain:
@@ -53,9 +54,7 @@ class Domain:
         self._phase_after = following.ravel()
         self._first_rest = len(self._fatigued) - 1
         self._kind = draw_kinds(preset)
-        self._fresh = np.zeros(ACTIONS, dtype=bool)
-        self._fresh[[Action.DETECT, Action.DETECT_PICK]] = True
-        self._fresh[Action.INSPECT] = preset.published
+        self._fresh = drawing(preset)
         self._observe = observer(preset, self._rng)
         self._placing = np.isin(np.arange(ACTIONS), (Action.PLACE_ON_CONVEYOR, Action.PLACE_IN_BIN))
         self.reset()
@@ -64,18 +63,9 @@ class Domain:
         """Start a new episode everywhere; returns local states (E, N)."""
         count, agents = self.n_envs, self.n_agents
         self._alive = np.ones(count, dtype=bool)
-        self._onion = np.full((agents, count), SOUND)
+        self._local, self._onion = draw_starts(self.preset, count, self._rng)
         self._phase = np.zeros((agents, count), dtype=np.int64)
-        self._local = np.full((agents, count), START)
-        if self.preset.start == "random":
-            self._local = self._rng.choice(_RANDOM_STARTS, (agents, count))
-            self._onion = self._matching_onions(self._local)
-        for i in self.preset.robots:
-            if self.preset.robot_start is not None:
-                self._local[i] = with_type(self._local[i], self.preset.robot_start)
         for i in self.preset.humans:
-            if not self.preset.thresholds:
-                self._local[i] = with_type(self._local[i], 0)
             self._phase[i] = np.where(LOCALS.own_type[self._local[i]] == 1, self._first_rest, 0)
         self._told = LOCALS.own_type[self._local].astype(np.int8)
         return self._local.T.astype(np.int16)
@@ -87,10 +77,11 @@ class Domain:
             actions: (E, N) numbers of actions. Outside of the published rules they must be in `mask`.
 
         Raises:
-            ConfigError: an action that the mask forbids, where the rules are not the published ones.
+            ConfigError: another shape, no action's number, or an action that the mask forbids, where
+                the rules are not the published ones.
         """
         agents, humans = range(self.n_agents), self.preset.humans
-        action = np.ascontiguousarray(actions.T, dtype=np.int64)
+        action = checked(actions, self.n_envs, self.n_agents)
         key = self._local * ACTIONS + action
         valid = self._valid[0][key[0]]
         for i in agents[1:]:
@@ -128,9 +119,11 @@ class Domain:
             local[:, ~alive] = SINK
             shaped[~self._alive] = 0.0
         self._local, self._alive = local, alive
-        own = LOCALS.own_type[local].astype(np.int8)
+        known = LOCALS.own_type[local].astype(np.int8)
+        if not alive.all():
+            known[:, ~alive] = 0  # the sink has no type; nobody learns from what follows an end
         for i in self.preset.robots:
-            hidden[i] = own[i]
+            hidden[i] = known[i]
         thumb = action >= Action.SPEED_UP
         robot = np.isin(np.arange(self.n_agents), self.preset.robots)[:, None]
         told = np.where(robot, action == Action.SPEED_UP, action == Action.SLOW_DOWN)
@@ -147,7 +140,7 @@ class Domain:
             priced=priced,
             alive=alive,
             type_hidden=hidden.T,
-            type_own=own.T,
+            type_own=known.T,
             type_announced=self._told.T,
         )
 
@@ -166,19 +159,6 @@ class Domain:
         for i in self.preset.robots:
             fast |= (own[i] == 1) & (action[i] != Action.SLOW_DOWN)
         return working & fast
-
-    def _matching_onions(self, local: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Kinds (N, E) that fit the predictions of random starts."""
-        p, visible = self.preset.p_blemished, self.preset.p_visible
-        hidden_share = p * (1 - visible) / max(1 - p * visible, 1e-12)
-        concealed = self._rng.random(local.shape) < hidden_share
-        inspected = LOCALS.onion[local] == OnionLocation.IN_FRONT
-        good = np.where(concealed & ~inspected, KINDS - 1, SOUND)
-        return np.where(LOCALS.prediction[local] == Prediction.BLEMISHED, SHOWN, good)
-
-
-_RANDOM_STARTS = np.flatnonzero((LOCALS.indicated == 1) & (LOCALS.eef != EefLocation.ON_CONVEYOR))
-"""Published: uniform over local states that are indicated and whose hand is not on the conveyor."""
 
 
 def make(preset: Preset, envs: int, seed: int) -> VectorDomain:
