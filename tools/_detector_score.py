@@ -29,6 +29,7 @@ def score(detect: Detect, samples: list[Sample], config: CellConfig) -> dict[str
     truths = dict.fromkeys(CLASSES, 0)
     onions = found = extra = right = clear = clear_found = 0
     errors: list[float] = []
+    unlocated = 0
     for sample in samples:
         detections = detect(sample.rgb)
         kinds = ["blemished" if n >= BLEMISH_PIXELS else "unblemished" for n in sample.blemish]

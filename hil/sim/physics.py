@@ -39,6 +39,9 @@ with quiet():
 bullet: Any = pybullet
 """The PyBullet module."""
 
+_SOLVER_ITERATIONS = 150
+"""With Bullet's 50 a held onion jerks the wrist: joints speed up by 1.3 times the limit for a step."""
+
 
 def connect(time_step: float) -> int:
     """A fresh physics world with gravity and deterministic contact order; returns its client id.
@@ -50,7 +53,7 @@ def connect(time_step: float) -> int:
     bullet.setGravity(0, 0, -9.81, physicsClientId=client)
     bullet.setPhysicsEngineParameter(
         fixedTimeStep=time_step,
-        numSolverIterations=50,
+        numSolverIterations=_SOLVER_ITERATIONS,
         numSubSteps=0,
         deterministicOverlappingPairs=1,
         physicsClientId=client,
