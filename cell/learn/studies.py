@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.learn import runs, theory
+from cell.learn.belief import store
 from cell.learn.belief.auc import auc, beliefs, roc
 from cell.learn.belief.bank import BeliefBank
 from cell.learn.belief.bank import bank as bank_of
@@ -26,14 +27,16 @@ MISSED = (0.0, 0.1, 0.2, 0.3, 0.4)
 """Shares of thumbs that the camera takes for No-op."""
 
 
-def fig4(rules: Preset, bank: BeliefBank, job: Job, tick: Tick) -> list[Row]:
+def fig4(rules: Preset, _: BeliefBank, job: Job, tick: Tick) -> list[Row]:
     """The belief ladder: AUC on 100 held-out expert episodes, per label and tracker.
 
     "reward_priced" is what the expert's rule earns when it goes by that belief instead of the truth.
     """
     rows: list[Row] = []
     for label in LABELS:
-        trackers = ladder(rules, label, bank if label == job.label else None)
+        known = store.shipped(rules.name, label).is_file()
+        mixed = store.gru_bank(rules.agents, store.load(rules.name, label)) if known else None
+        trackers = ladder(rules, label, mixed)
         test = type_data(rules, label, 100, 2_000_003)
         for name, tracker in trackers.items():
             score = beliefs(tracker, test)

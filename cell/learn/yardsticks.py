@@ -73,7 +73,7 @@ def transfer_rows(rules: Preset, settings: Settings, episodes: int) -> list[Row]
     "imitated": from the hand-coded expert with beliefs by what was announced.
     "best response": from robots optimised for the true reward, under the exact filter of the hidden type.
     """
-    times, rows = (10, 20, 30, 40), []
+    times, rows = (5, 10, 20, 30, 40), []
     filters = {
         t: bank_of(rules.agents, [SemiMarkovFilter(replace(rules, recovery=t), "hidden")]) for t in times
     }

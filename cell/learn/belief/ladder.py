@@ -54,7 +54,7 @@ def ladder(
         "first-order HMM": HmmBelief(fit_hmm(data.observed, data.types), prior),
         "GRU": GruBelief(pretrain(rules, label, (rules.recovery,), episodes, 1, updates)),
     }
-    if rules.agents == ("robot", "human") and rules.start == "fixed" and not rules.published:
+    if rules.agents == ("robot", "human") and rules.seconds == 0.0:
         trackers["semi-Markov filter"] = SemiMarkovFilter(rules, label)
     if shipped is not None:
         trackers["GRU, mixed recovery"] = shipped.about[person]
