@@ -7,12 +7,12 @@ environment ends an episode after an invalid action.
 
 from __future__ import annotations
 
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.decision.policy import states
 from cell.wire.vocabulary import Action, EefLocation, OnionLocation, Prediction
 
 ACTIONS = len(Action)
@@ -40,21 +40,8 @@ class Locals(NamedTuple):
         return out
 
 
-def _triples() -> list[tuple[int, int, int]]:
-    """Possible (onion, eef, prediction): a held onion is where the hand is, and only an onion in
-    focus has a prediction."""
-    out = []
-    for onion, eef, prediction in product(OnionLocation, EefLocation, Prediction):
-        held = onion in (OnionLocation.IN_FRONT, OnionLocation.AT_HOME)
-        if held and eef.name != onion.name:
-            continue
-        if (onion is OnionLocation.UNKNOWN) != (prediction is Prediction.UNKNOWN):
-            continue
-        out.append((int(onion), int(eef), int(prediction)))
-    return out
-
-
-TRIPLES = _triples()
+TRIPLES = list(dict.fromkeys((int(s.onion), int(s.eef), int(s.prediction)) for s in states(belief_bins=1)))
+"""Possible (onion, eef, prediction), as in a policy table."""
 _ROWS = [(*triple, own, told) for triple in TRIPLES for own in (0, 1) for told in (0, 1)]
 _IDS = {row: k for k, row in enumerate(_ROWS)}
 SINK = len(_ROWS)
