@@ -94,7 +94,7 @@ def refined(rules: Preset, bank: BeliefBank, settings: Settings) -> tuple[Belief
     """
     actors = learned("tb-decairl", rules, bank, settings)
     sharp = store.gru_bank(rules.agents, store.load(rules.name, "hidden"))
-    hyper = refine(seed=settings.seed)
+    hyper = refine(seed=settings.seed, iterations=min(40, settings.iterations))
     domain = make(rules, 1, 0)
     ppo = DecPpo(domain.features, domain.mask, hyper)
     ppo.actors.load_state_dict(actors.state_dict())
