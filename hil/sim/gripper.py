@@ -20,6 +20,9 @@ _STALLED_TIME = 0.05
 _LOST_CLOSING = 0.004
 """Fingers that close this much further [m] have lost what they held."""
 
+_GEAR_ERP = 0.2
+"""How fast the fingers' mechanics evens out a difference; stiffer, it chatters on a held onion."""
+
 
 class SimGripper:
     """Fingers of body `body`; width is the distance between the pads [m]."""
@@ -41,7 +44,7 @@ class SimGripper:
             body, self._fingers[0], body, self._fingers[1], bullet.JOINT_GEAR,
             [1, 0, 0], [0, 0, 0], [0, 0, 0], physicsClientId=client,
         )  # fmt: skip
-        bullet.changeConstraint(gear, gearRatio=-1, maxForce=500, erp=0.8, physicsClientId=client)
+        bullet.changeConstraint(gear, gearRatio=-1, maxForce=500, erp=_GEAR_ERP, physicsClientId=client)
 
     def command(self, width: float, speed: float, force: float) -> tuple[float, float, float]:
         """Start moving; returns (width [m], speed [m/s], force [N]) clipped to the device."""
