@@ -64,12 +64,13 @@ def lines(
     figure.savefig(path, dpi=130)
 
 
-def bars(path: Path, values: Mapping[str, tuple[float, float]], y: str, title: str) -> None:
-    """Named values with half widths of their intervals."""
-    figure, (axes,) = _figure()
-    names = list(values)
-    axes.bar(names, [values[n][0] for n in names], yerr=[values[n][1] for n in names], capsize=3)
-    axes.tick_params(axis="x", labelrotation=60, labelsize=8)
-    low = min(v for v, _ in values.values())
-    axes.set(ylabel=y, title=title, ylim=(max(0.0, low * 0.8) if low > 0 else None, None))
+def bars(path: Path, panels: Mapping[str, Mapping[str, tuple[float, float]]], y: str) -> None:
+    """Named values with half widths of their intervals, a panel for each title."""
+    figure, axes = _figure(len(panels))
+    for axis, (title, values) in zip(axes, panels.items(), strict=True):
+        names = list(values)
+        axis.bar(names, [values[n][0] for n in names], yerr=[values[n][1] for n in names], capsize=3)
+        axis.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=8)
+        low = min(v for v, _ in values.values())
+        axis.set(ylabel=y, title=title, ylim=(low * 0.8 if low > 0 else None, None))
     figure.savefig(path, dpi=130)

@@ -36,21 +36,22 @@ def steps(what: str, presets: tuple[tuple[str, int], ...], job: Job) -> int:
 
 
 def draw(what: str, rows: list[Row], path: Path) -> None:
-    """The PNG of a report, for the last preset in it."""
+    """The PNG of a report: Table 1 for all presets in it, the others for the last one."""
     last = [r for r in rows if (r["preset"], r["recovery"]) == (rows[-1]["preset"], rows[-1]["recovery"])]
     title = f"{rows[-1]['preset']}, recovery {rows[-1]['recovery']}"
     if what == "table1":
-        values = {
-            f"{r['method']} ({r['decoding']})": (r["reward_priced"]["mean"], r["reward_priced"]["ci95"])
-            for r in last
-        }
-        plots.bars(path, values, "reward per episode (priced)", title)
+        panels: dict[str, dict[str, tuple[float, float]]] = {}
+        for r in rows:
+            values = panels.setdefault(f"{r['preset']}, recovery {r['recovery']}", {})
+            reward = r["reward_priced"]
+            values[f"{r['method']} ({r['decoding']})"] = (reward["mean"], reward["ci95"])
+        plots.bars(path, panels, "reward per episode (priced)")
     elif what == "fig4":
         shown = [r for r in last if r["label"] == "hidden"]
         plots.rocs(path, {r["belief"]: (*r["curve"], r["auc"]) for r in shown}, f"{title}, hidden type")
     elif what == "theorem1":
         bounds = {f"{r['method']} {r['seed']}": (r["policy_gap"], 0.0) for r in last}
-        plots.bars(path, bounds, "log-likelihood gap (discounted)", title)
+        plots.bars(path, {title: bounds}, "log-likelihood gap (discounted)")
     elif what == "robustness":
         over: dict[str, list[tuple[float, float]]] = {}
         for r in last:

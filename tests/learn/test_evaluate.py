@@ -81,3 +81,15 @@ def test_an_interval_holds_the_mean_19_times_in_20() -> None:
         s = statistic(rng.normal(5.0, 2.0, 200))
         hits += abs(s["mean"] - 5.0) <= s["ci95"]
     assert hits / 1000 == pytest.approx(0.95, abs=0.02)
+
+
+@pytest.mark.parametrize(("method", "reward"), [("tb-decairl", 38.05), ("dec-airl", 35.59)])
+def test_shipped_policies_score_as_their_networks_did(method: str, reward: float) -> None:
+    """TB-DecAIRL equals the expert, greedy Dec-AIRL a robot that never speeds up (4,000 episodes each)."""
+    from importlib.resources import files
+
+    from cell.decision.policy import shipped
+
+    human = Path(str(files("cell.learn") / "policies" / f"{method}-human.csv"))
+    result: dict[str, Any] = evaluate("paper", str(shipped()[method]), 1000, seed=31, human=human)
+    assert within(result["reward_priced"], reward, 1.3, 4000) and result["invalid_episodes"] == 0
