@@ -5,9 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from cell.learn.domain.local import FEATURES
-from cell.learn.domain.presets import preset
-from cell.learn.domain.vector import make
 
 from cell.errors import ConfigError
 from cell.learn import runs
@@ -15,6 +12,9 @@ from cell.learn.belief.bank import BeliefBank, bank
 from cell.learn.belief.tracker import last_gesture
 from cell.learn.demonstrations import expert, play
 from cell.learn.discriminator import Discriminator, Source, Transitions
+from cell.learn.domain.local import FEATURES
+from cell.learn.domain.presets import preset
+from cell.learn.domain.vector import make
 from cell.learn.metrics import summary
 from cell.learn.networks import Actors, generator
 from cell.learn.settings import Settings, paper, tuned

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 import torch
-from cell.learn.domain.presets import preset
 
 from cell.errors import ConfigError
 from cell.learn import checkpoint, runs
 from cell.learn.belief.bank import bank
 from cell.learn.belief.tracker import last_gesture
+from cell.learn.domain.presets import preset
 from cell.learn.settings import tuned
 from cell.learn.tb_decairl import TbDecAirl
 

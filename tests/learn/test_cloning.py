@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from cell.learn.domain.presets import preset
-
 from cell.learn import runs
 from cell.learn.belief.bank import bank
 from cell.learn.belief.tracker import last_gesture
+from cell.learn.domain.presets import preset
 from cell.learn.settings import tuned
 
 

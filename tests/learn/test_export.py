@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cell.learn.domain.local import FEATURES
-from cell.learn.domain.presets import preset
 
 from cell.decision.policy import load
 from cell.learn import runs
 from cell.learn.belief.bank import bank
 from cell.learn.belief.tracker import last_gesture
 from cell.learn.demonstrations import play
+from cell.learn.domain.local import FEATURES
+from cell.learn.domain.presets import preset
 from cell.learn.export import Table, acting, from_csv, tabulate, to_csv
 from cell.learn.metrics import summary
 from cell.learn.settings import tuned
