@@ -117,6 +117,64 @@ class CameraConfig(_Strict, frozen=True):
     """Quantum of a depth reading [m]."""
 
 
+class PersonConfig(_Strict, frozen=True):
+    """Where the person works and rests, and what is the person's own part of the cell."""
+
+    station: tuple[float, float]
+    """Where the person stands at the belt, facing it: the pelvis in x, y [m]."""
+    rest: tuple[float, float]
+    """Where the person goes to rest: the pelvis in x, y [m]."""
+    reach_x: tuple[float, float]
+    """Across the belt, from where the person takes onions [m]."""
+    sorted_x: tuple[float, float]
+    """The strip along the belt on which the person puts sound onions [m]: beyond the robot's window."""
+    bin: BinConfig
+    """The person's own bin."""
+
+
+class SeparationConfig(_Strict, frozen=True):
+    """Speed and separation: S_p = v_h (T_r + T_s) + v_r T_r + S_s + C + Z_d + Z_r (ISO/TS 15066, 5.5.4)."""
+
+    human_speed: Positive
+    """v_h: of an approaching person [m/s]."""
+    reaction_time: Positive
+    """T_r: exposure to the first braking set-point [s]."""
+    deceleration: Positive
+    """Braking of the tool that T_s and S_s are computed from [m/s^2]."""
+    intrusion: NotNegative
+    """C: how far a part of the body may reach in before it is seen [m]."""
+    sensor_error: NotNegative
+    """Z_d: of the measured separation [m]."""
+    robot_error: NotNegative
+    """Z_r: of the robot's position [m]."""
+    max_age: Positive
+    """A separation older than this counts as a present person [s]."""
+    least_seen: Share
+    """Share of the person camera's pixels that must have depth; below it the camera counts as blocked."""
+    permit: Positive
+    """Industrial mode is permitted from this separation on [m] ..."""
+    permit_hold: NotNegative
+    """... once it has lasted this long [s]."""
+    hold: Positive
+    """The arm waits when its path comes nearer than this to the person [m], ..."""
+    release: Positive
+    """... and goes on when the path is this far away [m]."""
+
+
+class GestureConfig(_Strict, frozen=True):
+    """When a sign counts."""
+
+    models: str
+    """Folder with the hand networks; empty: the cache that `tools/run` fills."""
+    votes: Count
+    """How many of the last `window` frames must show the sign."""
+    window: Count
+    height: NotNegative
+    """A sign counts only with the hand at least this high above the belt [m]."""
+    crop: Positive
+    """Side of the square around a hand that the networks get [m]."""
+
+
 class OnionConfig(_Strict, frozen=True):
     """The produce."""
 
@@ -179,7 +237,12 @@ class CellConfig(_Strict, frozen=True):
     gripper: GripperConfig
     belt: BeltConfig
     bin: BinConfig
+    floor_z: Annotated[float, Meta(lt=0)]
+    """Height of the shop floor below the robot's base plane [m]."""
     cameras: dict[str, CameraConfig]
+    person: PersonConfig
+    separation: SeparationConfig
+    gestures: GestureConfig
     onions: OnionConfig
     motion: MotionConfig
     supervisor: SupervisorConfig
@@ -302,6 +365,20 @@ def _check(config: CellConfig) -> None:
             gripper.min_force <= gripper.grip_force <= gripper.max_force,
             "gripper.min_force <= gripper.grip_force <= gripper.max_force",
         ),
+        (config.floor_z < belt.top_z - 0.2, "floor_z: at least 0.2 m below belt.top_z"),
+        (
+            belt.x[0] <= config.person.reach_x[0] < config.person.reach_x[1] <= belt.x[1],
+            "person.reach_x: a range inside belt.x",
+        ),
+        (
+            belt.pick_x[1] < config.person.sorted_x[0] < config.person.sorted_x[1] <= belt.x[1],
+            "person.sorted_x: a range between the robot's window belt.pick_x and the far edge of the belt",
+        ),
+        (
+            config.separation.hold < config.separation.release,
+            "separation: hold < release",
+        ),
+        (config.gestures.votes <= config.gestures.window, "gestures: votes <= window"),
         ("belt" in config.cameras, "cameras: needs one called 'belt'"),
         (
             config.onions.diameter[0] <= config.onions.diameter[1] < gripper.stroke,

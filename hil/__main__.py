@@ -32,12 +32,13 @@ def main() -> int:
     parser.add_argument("--lock-step", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--onions", type=int, default=15)
+    parser.add_argument("--person", default="", help="persona of the simulated person; empty: nobody")
     args = parser.parse_args()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the supervisor's to handle
     warnings.showwarning = lambda message, *_: print(f"warning: {message}", file=sys.stderr)
     try:
         config = _read_config()
-        backend = make_backend(args.backend, config, seed=args.seed, onions=args.onions)
+        backend = make_backend(args.backend, config, seed=args.seed, onions=args.onions, person=args.person)
         with Session.listen(config, patient=args.lock_step) as session:  # a port in use shows at once
             try:
                 backend.connect()

@@ -48,6 +48,10 @@ class Backend(Protocol):
         """Move the fingers; returns (width, speed, force) really sent, clipped to the device."""
         ...
 
+    def command_light(self, signal: str) -> None:
+        """Show one of `vocabulary.SIGNALS` on the mode light."""
+        ...
+
     def command_belt(self, onions: int, seed: int) -> None:
         """Bring the next batch."""
         ...
@@ -79,16 +83,19 @@ class Backend(Protocol):
     def close(self) -> None: ...
 
 
-def make_backend(name: str, config: CellConfig, *, seed: int = 0, onions: int = 15) -> Backend:
+def make_backend(
+    name: str, config: CellConfig, *, seed: int = 0, onions: int = 15, person: str = ""
+) -> Backend:
     """Build the backend called `name`; raises `ConfigError` listing the names there are.
 
     Args:
         seed, onions: the first batch, for simulated backends.
+        person: name of the simulated person's persona; empty: nobody.
     """
     from cell.errors import ConfigError, one_of
 
     if name == "sim":
         from hil.sim.backend import SimBackend
 
-        return SimBackend(config, seed, onions)
+        return SimBackend(config, seed, onions, person)
     raise ConfigError(f"backend: {one_of(name, ['sim'])}")

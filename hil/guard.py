@@ -12,18 +12,20 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from cell.config import CellConfig
-from cell.errors import RefusedError
+from cell.errors import RefusedError, one_of
 from cell.limits import Limits, RefusalCode
 from cell.wire.types import (
     ArmStatus,
     BeltCommand,
     Capture,
     GripperCommand,
+    LightCommand,
     Reply,
     Resume,
     Stop,
     Trajectory,
 )
+from cell.wire.vocabulary import SIGNALS
 from hil.backend import Backend
 from hil.executor import Executor
 from hil.lease import Lease
@@ -102,6 +104,7 @@ class Guard:
         """Brake on the path and latch."""
         if not self.executor.stop_reason:
             self._say(WARN, f"stop: {reason}")
+            self._backend.command_light("stopped")
         self.executor.stop(reason)
 
     def status(self) -> ArmStatus:
@@ -147,11 +150,7 @@ class Guard:
 
     def on_gripper(self, command: GripperCommand) -> Reply:
         self.lease.require(command.holder)
-        now = self._backend.now()
-        if not math.isfinite(command.expires):
-            raise _refused(RefusalCode.NOT_FINITE, "the expiry must be a finite time")
-        if now > command.expires:
-            raise _refused(RefusalCode.STALE, f"it expired {now - command.expires:.3f} s ago")
+        self._fresh(command.expires)
         asked = {"width": command.width, "speed": command.speed, "force": command.force}
         for name, value in asked.items():
             if not math.isfinite(value):
@@ -168,6 +167,15 @@ class Guard:
         ]
         return Reply(True, "clipped", f"the device's range: {', '.join(changes)}") if changes else Reply(True)
 
+    def on_light(self, command: LightCommand) -> Reply:
+        self.lease.require(command.holder)
+        self._fresh(command.expires)
+        if command.signal not in SIGNALS:
+            raise _refused(RefusalCode.RANGE, f"signal: {one_of(command.signal, SIGNALS)}")
+        if not self.executor.stop_reason:
+            self._backend.command_light(command.signal)
+        return Reply(True)
+
     def on_belt(self, command: BeltCommand) -> Reply:
         self.lease.require(command.holder)
         check_batch(command.onions, command.seed)
@@ -183,6 +191,14 @@ class Guard:
             return Reply(True)
 
         return capture
+
+    def _fresh(self, expires: float) -> None:
+        """Refuse a command whose time `expires` [s] has passed."""
+        now = self._backend.now()
+        if not math.isfinite(expires):
+            raise _refused(RefusalCode.NOT_FINITE, "the expiry must be a finite time")
+        if now > expires:
+            raise _refused(RefusalCode.STALE, f"it expired {now - expires:.3f} s ago")
 
     def _robot_runs(self) -> None:
         if problem := robot_problem(self._backend.read_status()):

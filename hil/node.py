@@ -31,6 +31,7 @@ from cell.wire.types import (
     Frame,
     GripperCommand,
     Heartbeat,
+    LightCommand,
     ResetRequest,
     Resume,
     StepReply,
@@ -237,6 +238,7 @@ class Node:
             (keys.stop, Stop, guard.on_stop),
             (keys.resume, Resume, guard.on_resume),
             (keys.gripper_command, GripperCommand, guard.on_gripper),
+            (keys.light_command, LightCommand, guard.on_light),
             (keys.belt_command, BeltCommand, guard.on_belt),
         ]
         for camera in self._config.cameras:

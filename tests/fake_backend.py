@@ -44,6 +44,7 @@ class FakeBackend:
         self.threads: set[int] = set()
         self.batches: list[tuple[int, int]] = []
         self.advanced = 0
+        self.signal = "off"
         self._clock = WallClock()
         self._connected = False
         self.q = np.array(config.arm.home)
@@ -86,6 +87,9 @@ class FakeBackend:
             float(np.clip(speed, c.min_speed, c.max_speed)),
             float(np.clip(force, c.min_force, c.max_force)),
         )
+
+    def command_light(self, signal: str) -> None:
+        self.signal = signal
 
     def command_belt(self, onions: int, seed: int) -> None:
         self.batches.append((onions, seed))

@@ -69,6 +69,10 @@ def examples() -> list[Any]:
         T.Stop("anybody", "Ctrl-C"),
         T.Resume("supervisor"),
         T.GripperCommand("supervisor", 2.0, 0.05, 0.1, 30.0),
+        T.LightCommand("supervisor", 2.0, "requested"),
+        T.Hands(
+            1.5, "person", (T.SeenHand("left", 0.9, "up", (0.5, 0.1, 0.2), RNG.uniform(0, 480, (21, 2))),)
+        ),
         gripper,
         T.BeltCommand("supervisor", 15, 2**40),
         belt,
@@ -89,6 +93,26 @@ def examples() -> list[Any]:
         T.TruthRequest("judge"),
         T.Truth(
             4.0, np.array([True, False]), ("bin", "belt"), RNG.uniform(-1, 1, (2, 3)), np.ones(2), 1, ("a",)
+        ),
+        T.Truth(
+            4.0,
+            np.array([True]),
+            ("bin",),
+            RNG.uniform(-1, 1, (1, 3)),
+            np.ones(1),
+            0,
+            (),
+            np.array([True]),
+            T.PersonTruth(
+                "ana",
+                True,
+                8,
+                "down",
+                0.4,
+                RNG.uniform(-1, 1, (2, 3)),
+                0,
+                (T.ShownGesture("down", 1.0, -1.0),),
+            ),
         ),
         T.Event(1.0, 20, "node", "two lines\nof text"),
         T.ClockTick(0.008),

@@ -28,7 +28,6 @@ _POST_BEHIND = 0.0645
 """A camera's post stands this far behind its optical centre [m]."""
 TOUCH = 0.002
 """Least distance of the fingertips from the belt where they may come near it [m]."""
-_FLOOR_Z = -0.75
 _FAR = 10.0
 _PEDESTAL = 0.10
 
@@ -263,8 +262,8 @@ def _boxes(config: CellConfig) -> tuple[list[str], Array, Array]:
         ("bin", (x0, y0 - _WALL, z0), (x1, y0, top)),
         ("bin", (x0, y1, z0), (x1, y1 + _WALL, top)),
         ("bin", (x0, y0 - _WALL, z0 - _WALL), (x1, y1 + _WALL, z0)),
-        ("pedestal", (-_PEDESTAL, -_PEDESTAL, -1.0), (_PEDESTAL, _PEDESTAL, -0.002)),
-        ("floor", (-5.0, -5.0, -2.0), (5.0, 5.0, _FLOOR_Z)),
+        ("pedestal", (-_PEDESTAL, -_PEDESTAL, config.floor_z), (_PEDESTAL, _PEDESTAL, -0.002)),
+        ("floor", (-5.0, -5.0, -2.0), (5.0, 5.0, config.floor_z)),
         (
             _PRODUCE,
             (b.pick_x[0] - _ROLLED, b.pick_y[0] - _ROLLED, b.top_z),

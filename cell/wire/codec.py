@@ -21,8 +21,9 @@ from cell.wire.layouts import (
     JointStateLayout,
     Layout,
 )
-from cell.wire.layouts_cell import FlatLayout, StepReplyLayout, TrajectoryLayout, TruthLayout
+from cell.wire.layouts_cell import FlatLayout, StepReplyLayout, TrajectoryLayout
 from cell.wire.layouts_image import FrameLayout, ImageLayout
+from cell.wire.layouts_person import HandsLayout, TruthLayout
 
 M = TypeVar("M")
 
@@ -33,6 +34,7 @@ _FLAT: tuple[type[Any], ...] = (
     types.Resume,
     types.GripperCommand,
     types.GripperState,
+    types.LightCommand,
     types.BeltCommand,
     types.BeltState,
     types.Capture,
@@ -50,6 +52,7 @@ _LAYOUTS: dict[type[Any], Layout[Any]] = {
     types.Frame: FrameLayout(),
     types.Image: ImageLayout(),
     types.Detections: DetectionsLayout(),
+    types.Hands: HandsLayout(),
     types.Event: EventLayout(),
     types.ClockTick: ClockLayout(),
     types.StepReply: StepReplyLayout(),

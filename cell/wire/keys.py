@@ -61,6 +61,11 @@ class Keys:
         return f"{self.name}/gripper/state"
 
     @property
+    def light_command(self) -> str:
+        """Query: `LightCommand` -> `Reply`."""
+        return f"{self.name}/light/command"
+
+    @property
     def belt_command(self) -> str:
         """Query: `BeltCommand` -> `Reply`."""
         return f"{self.name}/belt/command"
@@ -87,7 +92,7 @@ class Keys:
 
     @property
     def hands(self) -> str:
-        """Hand landmarks, supervisor -> all."""
+        """`Hands`, supervisor -> all."""
         return f"{self.name}/perception/hands"
 
     @property

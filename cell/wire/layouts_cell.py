@@ -12,18 +12,20 @@ from cell.wire import cdr
 from cell.wire.cdr import Reader, Writer
 from cell.wire.layouts import JOINT_NAMES, SMALL, JointStateLayout, Simple, check_joint_names, header
 from cell.wire.layouts_image import FRAME_LIMIT, FrameLayout
-from cell.wire.types import ArmStatus, BeltState, GripperState, StepReply, Trajectory, Truth
+from cell.wire.types import ArmStatus, BeltState, GripperState, StepReply, Trajectory
 from cell.wire.typestore import POINT, TIME, TRAJECTORY_HEAD, make, store
 
 M = TypeVar("M")
 
-#: Most points in a trajectory, frames in a step's reply, onions in a round.
+#: Most points in a trajectory, frames in a step's reply.
 MAX_POINTS = 20_000
 MAX_FRAMES = 8
-MAX_ONIONS = 1000
 
 #: Fields that may be infinite.
-_MAY_BE_INFINITE = {("cell_msgs/msg/SupervisorState", "separation")}
+_MAY_BE_INFINITE = {
+    ("cell_msgs/msg/SupervisorState", "separation"),
+    ("cell_msgs/msg/SupervisorState", "separation_age"),
+}
 
 
 class FlatLayout(Simple[M]):
@@ -74,44 +76,6 @@ def _to_field(value: Any, kind: str, name: str) -> Any:
     if kind == "string" and len(value.encode()) > cdr.MAX_TEXT:
         raise WireError(f"{name} is longer than {cdr.MAX_TEXT} bytes")
     return value
-
-
-class TruthLayout(Simple[Truth]):
-    ros_type = "cell_msgs/msg/Truth"
-    limit = 8 * 1024 * 1024
-
-    def to_ros(self, m: Truth) -> Any:
-        n = len(m.place)
-        if not (m.blemished.shape == m.radius.shape == (n,) and m.p_WO.shape == (n, 3) and n <= MAX_ONIONS):
-            raise WireError(f"truth: lists of {n} onions differ in length or exceed {MAX_ONIONS}")
-        return make(self.ros_type)(
-            cdr.stamp(m.t),
-            m.blemished.astype(np.bool_),
-            list(m.place),
-            [make(POINT)(*map(float, p)) for p in m.p_WO],
-            np.ascontiguousarray(m.radius, dtype=np.float64),
-            m.arm_contacts,
-            list(m.contact_log),
-        )
-
-    def from_ros(self, ros: Any) -> Truth:
-        n = len(ros.place)
-        if not len(ros.blemished) == len(ros.centers) == len(ros.radius) == n <= MAX_ONIONS:
-            raise DecodeError(f"truth: lists of {n} onions differ in length or exceed {MAX_ONIONS}")
-        if len(ros.contact_log) > MAX_ONIONS:
-            raise DecodeError(f"contact log: {len(ros.contact_log)} lines, at most {MAX_ONIONS} are allowed")
-        blemished = ros.blemished.view(np.uint8) != 0
-        blemished.setflags(write=False)
-        centers = np.array([(p.x, p.y, p.z) for p in ros.centers], dtype=np.float64).reshape(n, 3)
-        return Truth(
-            cdr.seconds(ros.stamp, "stamp"),
-            blemished,
-            tuple(cdr.text(p, "place") for p in ros.place),
-            cdr.frozen(centers, "centers"),
-            cdr.vector(ros.radius, n, "radius"),
-            ros.arm_contacts,
-            tuple(cdr.text(line, "contact_log") for line in ros.contact_log),
-        )
 
 
 class StepReplyLayout:

@@ -123,6 +123,15 @@ class GripperState:
 
 
 @dataclass(frozen=True)
+class LightCommand:
+    """Show `signal` on the cell's mode light, one of `vocabulary.SIGNALS`; expires [s]."""
+
+    holder: str
+    expires: float
+    signal: str
+
+
+@dataclass(frozen=True)
 class BeltCommand:
     """Bring the next batch of `onions` onions, drawn from `seed`."""
 
@@ -208,6 +217,33 @@ class Detections:
 
 
 @dataclass(frozen=True)
+class SeenHand:
+    """One hand in a camera image.
+
+    Attributes:
+        side: "left", "right" or "" (not known): whose hand it is, of the person.
+        presence: of the landmark network, 0..1. gesture: "", "up" or "down", of this frame alone.
+        p_WH: palm centre in the world (3,) [m]; NaN never: a hand without depth is not reported.
+        landmarks: (21, 2) [px] in MediaPipe's order.
+    """
+
+    side: str
+    presence: float
+    gesture: str
+    p_WH: tuple[float, float, float]
+    landmarks: Array
+
+
+@dataclass(frozen=True)
+class Hands:
+    """The hands found in the frame of camera `camera` taken at `t` [s]."""
+
+    t: float
+    camera: str
+    hands: tuple[SeenHand, ...]
+
+
+@dataclass(frozen=True)
 class SupervisorState:
     """What a watcher needs to understand the robot; enumerations of `vocabulary`.
 
@@ -216,6 +252,11 @@ class SupervisorState:
         separation: [m], infinity when nobody is configured. speed_cap: TCP cap in force [m/s].
         binding_cap: name of the cap that binds. target: world position (3,) [m] of the onion in focus.
         reason: why the last action ended.
+        human_action: what the person is believed to do, with confidence 0..1 (an `Action`).
+        gesture: "", "up" or "down": the sign that was recognised last and still holds.
+        separation_age: of the separation [s]; infinity without a usable person camera.
+        yields: how often the robot gave way to the person. light: signal on the mode light.
+        by_human: onions that the person was seen to sort.
     """
 
     t: float
@@ -238,6 +279,13 @@ class SupervisorState:
     remaining: int
     reason: str
     target: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    human_action: int = 0
+    human_confidence: float = 0.0
+    gesture: str = ""
+    separation_age: float = 0.0
+    yields: int = 0
+    light: str = ""
+    by_human: int = 0
 
 
 @dataclass(frozen=True)
@@ -276,6 +324,42 @@ class TruthRequest:
 
 
 @dataclass(frozen=True)
+class ShownGesture:
+    """A sign that the simulated person held up.
+
+    Attributes:
+        sign: "up" or "down". shown: when the hand was in place [s]. answered: when the person saw
+            that the robot had understood [s]; negative as long as it has not.
+    """
+
+    sign: str
+    shown: float
+    answered: float
+
+
+@dataclass(frozen=True)
+class PersonTruth:
+    """What the simulated person really is and does; never for deciding.
+
+    Attributes:
+        name: persona. fatigued: true type. action: an `Action`. gesture: "", "up" or "down".
+        separation: nearest point of the body to robot, gripper and held onion [m].
+        p_WH: (2, 3) [m] grip points of the left and the right hand.
+        contacts: control ticks in which the robot touched the person.
+        gestures: all signs so far.
+    """
+
+    name: str
+    fatigued: bool
+    action: int
+    gesture: str
+    separation: float
+    p_WH: Array
+    contacts: int
+    gestures: tuple[ShownGesture, ...] = ()
+
+
+@dataclass(frozen=True)
 class Truth:
     """Ground truth of the simulated round.
 
@@ -286,6 +370,8 @@ class Truth:
         radius: shape (N,) [m], largest half-width.
         arm_contacts: number of control ticks with forbidden contact of the arm.
         contact_log: first few such contacts, readable.
+        by_human: shape (N,) bool: the simulated person sorted this onion.
+        person: the simulated person, None where there is none.
     """
 
     t: float
@@ -295,6 +381,8 @@ class Truth:
     radius: Array
     arm_contacts: int
     contact_log: tuple[str, ...] = field(default=())
+    by_human: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    person: PersonTruth | None = None
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,10 @@ class Action(IntEnum):
     SLOW_DOWN = 8
 
 
+SIGNALS = ("off", "collaborative", "requested", "industrial", "hold", "stopped")
+"""What the mode light can show. "requested": industrial mode is wanted, but not permitted yet."""
+
+
 class Mode(IntEnum):
     """The supervisor's mode (state machine of the speed supervision)."""
 

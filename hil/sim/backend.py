@@ -31,14 +31,17 @@ class SimBackend:
     Args:
         config: the cell.
         seed, onions: the first batch; see `reset`.
+        person: persona of the simulated person; empty: nobody.
     """
 
     name = "sim"
     steppable = True
 
-    def __init__(self, config: CellConfig, seed: int = 0, onions: int = 15) -> None:
+    def __init__(self, config: CellConfig, seed: int = 0, onions: int = 15, person: str = "") -> None:
         self._config = config
         self._first = (seed, onions)
+        self._persona = person
+        self._signal = "off"
         self._world: World | None = None
         self._renderer: Renderer | None = None
         self._cameras: dict[str, Camera] = {}
@@ -93,6 +96,9 @@ class SimBackend:
 
     def command_gripper(self, width: float, speed: float, force: float) -> tuple[float, float, float]:
         return self.world.gripper.command(width, speed, force)
+
+    def command_light(self, signal: str) -> None:
+        self._signal = signal
 
     def command_belt(self, onions: int, seed: int) -> None:
         del onions, seed

@@ -10,11 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cell.config import CellConfig
+from cell.config import BinConfig, CellConfig
 from cell.frames import Array, look_at, pose
 
-FLOOR_Z = -0.75
-"""Height of the shop floor below the robot's base plane [m]."""
 POST_RADIUS = 0.02
 CAMERA_BODY = (0.090, 0.025, 0.025)
 """Housing of a camera: width, height, depth [m] (D435: 90 x 25 x 25 mm)."""
@@ -23,6 +21,7 @@ _BELT = (0.24, 0.27, 0.27, 1.0)
 _METAL = (0.62, 0.64, 0.66, 1.0)
 _DARK = (0.20, 0.21, 0.23, 1.0)
 _BIN = (0.20, 0.36, 0.60, 1.0)
+_PERSON_BIN = (0.30, 0.45, 0.28, 1.0)
 _FLOOR = (0.56, 0.55, 0.53, 1.0)
 
 
@@ -48,11 +47,13 @@ def _box(group: str, lo: object, hi: object, rgba: tuple[float, float, float, fl
 
 def fixtures(config: CellConfig) -> list[Fixture]:
     """The cell's fixed parts, in world coordinates; groups: floor, pedestal, belt, bin, post."""
+    floor = config.floor_z
     return [
-        _box("floor", (-2.5, -2.5, FLOOR_Z - 0.02), (3.0, 2.5, FLOOR_Z), _FLOOR),
-        _box("pedestal", (-0.10, -0.10, FLOOR_Z), (0.10, 0.10, -0.002), _DARK),
+        _box("floor", (-2.5, -2.5, floor - 0.02), (4.0, 2.5, floor), _FLOOR),
+        _box("pedestal", (-0.10, -0.10, floor), (0.10, 0.10, -0.002), _DARK),
         *_belt(config),
-        *_bin(config),
+        *_bin(config.bin, floor, _BIN),
+        *_bin(config.person.bin, floor, _PERSON_BIN),
         *(part for name in config.cameras for part in _camera(config, name)),
     ]
 
@@ -60,7 +61,7 @@ def fixtures(config: CellConfig) -> list[Fixture]:
 def _belt(config: CellConfig) -> list[Fixture]:
     (x0, x1), (y0, y1), top = config.belt.x, config.belt.y, config.belt.top_z
     legs = [
-        _box("belt", (x - 0.02, y - 0.02, FLOOR_Z), (x + 0.02, y + 0.02, top - 0.12), _METAL)
+        _box("belt", (x - 0.02, y - 0.02, config.floor_z), (x + 0.02, y + 0.02, top - 0.12), _METAL)
         for x in (x0 + 0.03, x1 - 0.03)
         for y in (y0 + 0.15, y1 - 0.15)
     ]
@@ -72,17 +73,17 @@ def _belt(config: CellConfig) -> list[Fixture]:
     ]
 
 
-def _bin(config: CellConfig) -> list[Fixture]:
+def _bin(bin: BinConfig, floor: float, rgba: tuple[float, float, float, float]) -> list[Fixture]:
     """An open box; its walls are 6 mm thick and stand outside the inner size."""
-    (cx, cy, top), (sx, sy, depth), wall = config.bin.center, config.bin.size, 0.006
+    (cx, cy, top), (sx, sy, depth), wall = bin.center, bin.size, 0.006
     x0, x1, y0, y1, z0 = cx - sx / 2, cx + sx / 2, cy - sy / 2, cy + sy / 2, top - depth
-    stand = _box("bin", (cx - 0.05, cy - 0.05, FLOOR_Z), (cx + 0.05, cy + 0.05, z0 - wall), _DARK)
+    stand = _box("bin", (cx - 0.05, cy - 0.05, floor), (cx + 0.05, cy + 0.05, z0 - wall), _DARK)
     return [
-        _box("bin", (x0 - wall, y0 - wall, z0 - wall), (x1 + wall, y1 + wall, z0), _BIN),
-        _box("bin", (x0 - wall, y0 - wall, z0), (x0, y1 + wall, top), _BIN),
-        _box("bin", (x1, y0 - wall, z0), (x1 + wall, y1 + wall, top), _BIN),
-        _box("bin", (x0, y0 - wall, z0), (x1, y0, top), _BIN),
-        _box("bin", (x0, y1, z0), (x1, y1 + wall, top), _BIN),
+        _box("bin", (x0 - wall, y0 - wall, z0 - wall), (x1 + wall, y1 + wall, z0), rgba),
+        _box("bin", (x0 - wall, y0 - wall, z0), (x0, y1 + wall, top), rgba),
+        _box("bin", (x1, y0 - wall, z0), (x1 + wall, y1 + wall, top), rgba),
+        _box("bin", (x0, y0 - wall, z0), (x1, y0, top), rgba),
+        _box("bin", (x0, y1, z0), (x1, y1 + wall, top), rgba),
         stand,
     ]
 
@@ -96,5 +97,7 @@ def _camera(config: CellConfig, name: str) -> list[Fixture]:
     top = float(X_WH[2, 3]) + 0.03
     return [
         Fixture("post", X_WH, CAMERA_BODY, _DARK),
-        Fixture("post", pose(p=(x, y, (FLOOR_Z + top) / 2)), (POST_RADIUS, top - FLOOR_Z), _METAL),
+        Fixture(
+            "post", pose(p=(x, y, (config.floor_z + top) / 2)), (POST_RADIUS, top - config.floor_z), _METAL
+        ),
     ]

@@ -13,7 +13,7 @@ from cell.config import CellConfig
 from cell.errors import ConfigError
 from cell.frames import Array, from_quaternion, pose, quaternion
 from hil.sim.arm import SimArm
-from hil.sim.fixtures import FLOOR_Z, fixtures
+from hil.sim.fixtures import fixtures
 from hil.sim.gripper import SimGripper
 from hil.sim.onions import Onion, make_onion
 from hil.sim.physics import bullet, connect, quiet
@@ -264,4 +264,4 @@ def _random_quaternion(rng: np.random.Generator) -> Array:
     return q / np.linalg.norm(q)
 
 
-__all__ = ["FLOOR_Z", "LABELS", "ONION_LABEL", "World"]
+__all__ = ["LABELS", "ONION_LABEL", "World"]
