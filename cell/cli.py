@@ -12,6 +12,7 @@ from cell.errors import CellError, ConfigError, one_of
 from cell.learn import cli as learning
 
 BAD_INPUT, FAILED, INTERRUPTED = 2, 1, 130
+PERSONS = ("sim", "none")
 
 app = typer.Typer(
     name="cell",
@@ -37,7 +38,9 @@ def _root(
 @app.command()
 def run(
     backend: Annotated[str, typer.Option(help="What to drive: sim.")] = "sim",
-    policy: Annotated[str, typer.Option(help="Policy CSV, or the name of a shipped one.")] = "expert",
+    policy: Annotated[str, typer.Option(help="Policy CSV, or the name of a shipped one.")] = "tb-decairl",
+    person: Annotated[str, typer.Option(help="Who works beside the robot: sim or none.")] = "sim",
+    persona: Annotated[str, typer.Option(help="Which simulated person: ana, bo, chen, dana or efe.")] = "ana",
     onions: Annotated[int, typer.Option(help="Onions in the batch (1 to 15).")] = 15,
     seed: Annotated[int, typer.Option(help="Seed of the batch.")] = 0,
     headless: Annotated[bool, typer.Option("--headless", help="Lock-step, as fast as possible.")] = False,
@@ -56,6 +59,8 @@ def run(
 
     if backend != "sim":
         raise ConfigError(f"--backend: {one_of(backend, ['sim'])}")
+    if person not in PERSONS:
+        raise ConfigError(f"--person: {one_of(person, PERSONS)}")
     if not 1 <= onions <= 15:
         raise ConfigError(f"--onions must be from 1 to 15, got {onions}")
     if not 0 <= seed < 2**63:
@@ -76,7 +81,8 @@ def run(
     from cell.run.round import RoundOptions, run_round
 
     console = Console(stderr=True)
-    options = RoundOptions(backend, lock_step=headless, seed=seed, onions=onions, record=record)
+    who = persona if person == "sim" else ""
+    options = RoundOptions(backend, lock_step=headless, seed=seed, onions=onions, record=record, person=who)
     try:
         with Progress(console, onions, cell_config.gripper.length) as progress:
             result = run_round(cell_config, table, options, progress)

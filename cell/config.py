@@ -155,6 +155,10 @@ class SeparationConfig(_Strict, frozen=True):
     """Industrial mode is permitted from this separation on [m] ..."""
     permit_hold: NotNegative
     """... once it has lasted this long [s]."""
+    patience: Positive
+    """How long the arm waits for a person in its way before it gives the motion up [s]."""
+    give_way: Positive
+    """The robot leaves an onion that the person's hand is this near to [m]."""
     hold: Positive
     """The arm waits when its path comes nearer than this to the person [m], ..."""
     release: Positive
@@ -216,6 +220,10 @@ class SupervisorConfig(_Strict, frozen=True):
     """Camera frames older than this are not used [s]."""
     max_state_age: Positive
     """Joint states older than this stop the supervisor [s]."""
+    belief: str
+    """The belief about the person: gru, last-gesture, none, or a file of weights (.safetensors)."""
+    seam_lead: Positive
+    """How far ahead of now a change of a running motion is planned at first [s]."""
     grasp_attempts: Count
     """Tries per onion before it is set aside as not graspable."""
     look_attempts: Count

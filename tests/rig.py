@@ -21,7 +21,7 @@ from cell.frames import Array, Pinhole, look_at
 from cell.limits import Limits, tcp_positions
 from cell.motion.planner import Planner
 from cell.motion.views import InspectionViews
-from cell.wire.types import Box, Capture, GripperCommand, Reply, Trajectory
+from cell.wire.types import Box, Capture, GripperCommand, LightCommand, Reply, Trajectory
 from hil.executor import Executor
 from hil.sim.backend import SimBackend
 
@@ -144,6 +144,7 @@ class Rig:
         status = replace(
             backend.read_status(),
             trajectory_id=executor.trajectory_id,
+            progress=executor.progress,
             moving=executor.moving,
             stopped=executor.stopped or bool(executor.stop_reason),
             stop_reason=executor.stop_reason,
@@ -186,6 +187,8 @@ class Rig:
                 self.executor.accept(order, self.backend.now(), self.backend.read_joints().q)
             elif isinstance(order, GripperCommand):
                 self.backend.command_gripper(order.width, order.speed, order.force)
+            elif isinstance(order, LightCommand):
+                self.backend.command_light(order.signal)
             elif isinstance(order, Capture):
                 self.backend.request_frame(command.camera)
         except RefusedError as error:

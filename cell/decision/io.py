@@ -13,14 +13,16 @@ from cell.wire.types import (
     Frame,
     GripperCommand,
     GripperState,
+    Hands,
     JointState,
+    LightCommand,
     Reply,
     Resume,
     SupervisorState,
     Trajectory,
 )
 
-Order = Trajectory | GripperCommand | Capture | Resume
+Order = Trajectory | GripperCommand | Capture | Resume | LightCommand
 """A message that the supervisor may send to the node."""
 
 
@@ -66,5 +68,6 @@ class Outputs:
     state: SupervisorState
     detections: tuple[Detections, ...] = ()
     events: tuple[Event, ...] = ()
+    hands: tuple[Hands, ...] = ()
     done: bool = False
     failure: str = ""

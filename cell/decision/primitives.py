@@ -7,18 +7,21 @@ Nothing here reads a clock or a wire, so a skill replays exactly from recorded i
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from typing import TypeVar
 
 import numpy as np
 
 from cell.config import CellConfig
+from cell.decision.following import Following, Lead, Obstructed, trajectory
 from cell.decision.io import Command, Inputs, Order
 from cell.frames import Array
 from cell.motion.timing import TimedPath
-from cell.wire.types import Capture, Frame, GripperCommand, Reply, Trajectory
+from cell.wire.types import Capture, Frame, GripperCommand, LightCommand, Reply, Trajectory
 
 T = TypeVar("T")
+GiveWay = Callable[[], str]
+"""Why what the arm does is to be given up; empty as long as it is not."""
 Skill = Generator[None, Inputs, T]
 """A running skill or primitive; its return value is T."""
 
@@ -26,9 +29,16 @@ _REST_SPEED = 0.01
 """The arm counts as at rest below this joint speed [rad/s]."""
 _SLACK = 2.0
 """How much longer than planned a motion may take [s]."""
+_HORIZON = 1.2
+"""How far ahead on its path the arm looks for a person [s]."""
 _GRIPPER_TIME = 4.0
 _REPLY_TIME = 1.0
 """Longest waits for the fingers and for a reply [s]."""
+
+
+def never() -> str:
+    """No reason to give way."""
+    return ""
 
 
 class SkillError(Exception):
@@ -41,12 +51,21 @@ class SkillError(Exception):
 
 
 class Primitives:
-    """Shared state of all skills: the newest inputs, outgoing commands, the arm's rest pose."""
+    """Shared state of all skills: the newest inputs, outgoing commands, the arm's rest pose.
+
+    Attributes:
+        speed_cap: TCP speed cap in force [m/s]. obstructed: whether a person is in the way.
+        waiting: the arm waits on its path for a person.
+    """
 
     def __init__(self, config: CellConfig, holder: str) -> None:
         self.config = config
         self.holder = holder
         self.speed_cap = config.motion.collaborative_speed
+        self.waiting = False
+        self.obstructed: Obstructed = lambda q: False
+        lead = config.supervisor.seam_lead
+        self._lead = Lead(lead, lead)
         self.outbox: list[Command] = []
         self.inputs: Inputs | None = None
         self._tickets = 0
@@ -79,30 +98,51 @@ class Primitives:
 
     # -- primitives -----------------------------------------------------------------------------
 
-    def follow(self, path: TimedPath) -> Skill[None]:
-        """Execute a timed path from rest to rest; returns when the set-point has arrived."""
-        times, q, qd = path.to_points(self.config.arm.control_period)
-        self._trajectories += 1
-        number = self._trajectories
-        order = Trajectory(
-            id=number,
-            holder=self.holder,
-            start=0.0,
-            expires=self.now + self.config.supervisor.command_lifetime,
-            times=times,
-            q=q,
-            qd=qd,
-        )
+    def follow(self, path: TimedPath, give_way: GiveWay = never) -> Skill[None]:
+        """Execute a timed path from rest to rest; returns when the set-point has arrived.
+
+        On the way it is retimed whenever the cap changes, and waits while a person is in the way.
+
+        Args:
+            path: the plan, made under the present `speed_cap`.
+            give_way: says why the motion is to be given up, empty as long as it is not.
+
+        Raises:
+            SkillError: "yielded" when it was given up; the arm rests on the path then.
+        """
+        began, cap = self.now, self.speed_cap
+        order = self._trajectory(path, 0.0)
         yield from self._accepted(order)
-        self._q_rest = np.array(q[-1])
-        deadline = self.now + float(times[-1]) + _SLACK
-        while True:
-            arm = self._checked().arm
-            if arm.trajectory_id == number and not arm.moving:
-                return
-            if self.now > deadline:
-                raise SkillError("timeout", f"motion {number} did not finish in time")
-            yield from self.tick()
+        moving = Following(self.config, path, order.id, began, cap, self._lead)
+        deadline = self.now + path.duration + _SLACK
+        given_way = ""
+        try:
+            while True:
+                inputs = self._checked()
+                moving.note(inputs)
+                self.waiting = moving.waiting
+                given_way = given_way or give_way()
+                if moving.ended(inputs) or (given_way and moving.waiting):
+                    break
+                if moving.waiting and self.now - moving.since > self.config.separation.patience:
+                    given_way = "a person stayed in the way"
+                    break
+                if given_way:
+                    change = moving.stop_here(inputs)
+                else:
+                    change = moving.change(inputs, self.speed_cap, self.obstructed, _HORIZON)
+                if change is not None:
+                    self._send_change(moving, *change)
+                if moving.waiting or change is not None:
+                    deadline = self.now + moving.longest() + _SLACK
+                if self.now > deadline:
+                    raise SkillError("timeout", f"motion {order.id} did not finish in time")
+                yield from self.tick()
+        finally:
+            self.waiting = False
+        self._q_rest = moving.q_end()
+        if given_way:
+            raise SkillError("yielded", given_way)
 
     def settle(self) -> Skill[None]:
         """Wait until the arm's measured joints have come to rest at the set-point."""
@@ -150,11 +190,37 @@ class Primitives:
         gripper = self._checked().gripper
         return gripper.holding and gripper.width > 0.5 * self.config.onions.diameter[0]
 
+    def pause(self, seconds: float) -> Skill[None]:
+        """Let time pass."""
+        end = self.now + seconds
+        while self.now < end:
+            self._checked()
+            yield from self.tick()
+
+    def show(self, signal: str) -> None:
+        """Put a signal on the mode light, one of `vocabulary.SIGNALS`."""
+        expires = self.now + self.config.supervisor.command_lifetime
+        self._tickets += 1
+        self.outbox.append(Command(self._tickets, LightCommand(self.holder, expires, signal)))
+
     def tick(self) -> Skill[None]:
         """Wait for the next tick."""
         self.inputs = yield
 
     # -- internals ------------------------------------------------------------------------------
+
+    def _trajectory(self, path: TimedPath, start: float) -> Trajectory:
+        """The next trajectory's message."""
+        self._trajectories += 1
+        expires = self.now + self.config.supervisor.command_lifetime
+        period = self.config.arm.control_period
+        return trajectory(path, self._trajectories, self.holder, start, expires, period)
+
+    def _send_change(self, moving: Following, path: TimedPath, start: float, holds: bool) -> None:
+        order = self._trajectory(path, start)
+        self._tickets += 1
+        self.outbox.append(Command(self._tickets, order))
+        moving.sent(self._tickets, order.id, path, start, holds)
 
     def _checked(self) -> Inputs:
         """The newest inputs; raises when the arm was stopped under the skill."""

@@ -12,14 +12,15 @@ from functools import partial
 
 import numpy as np
 
-from cell.decision.primitives import Primitives, Skill
+from cell.decision.companion import Companion
+from cell.decision.primitives import GiveWay, Primitives, Skill, SkillError, never
 from cell.decision.targets import Grasp, choose
 from cell.errors import PlanError
 from cell.frames import Array
 from cell.motion.planner import Planner
 from cell.motion.views import InspectionViews
 from cell.perception.look import Eye
-from cell.perception.tracking import Status, Tracker
+from cell.perception.tracking import Status, Track, Tracker
 from cell.wire.types import Detections
 from cell.wire.vocabulary import Prediction
 
@@ -33,6 +34,10 @@ _BELT_GAP = 0.006
 """Least distance of the fingertips from the belt in a grasp [m]."""
 _RELEASE_GAP = 0.002
 """How much higher an onion is let go than it was taken, so that it is not pressed down [m]."""
+_WAIT = 0.4
+"""Between two looks while a person is at the onions [s]."""
+_CLEAR_HEIGHT = 0.16
+"""Height of the tool over the belt at which it is above all onions [m]."""
 _HELD_MARGIN = 0.010
 """How well the camera knows a held onion's size and its place between the fingers [m]."""
 
@@ -53,8 +58,16 @@ class Ended:
 class Skills:
     """All skills over one arm, one eye, one tracker."""
 
-    def __init__(self, body: Primitives, planner: Planner, views: InspectionViews, eye: Eye) -> None:
+    def __init__(
+        self,
+        body: Primitives,
+        planner: Planner,
+        views: InspectionViews,
+        eye: Eye,
+        person: Companion | None = None,
+    ) -> None:
         self.body = body
+        self.person = person
         self.tracker = Tracker()
         self.target: Grasp | None = None
         self.detections: list[Detections] = []
@@ -73,8 +86,8 @@ class Skills:
         yield from self._go_home()
         for _ in range(self._config.supervisor.look_attempts):
             yield from self._look_at_belt()
-            while waiting := self.tracker.waiting():
-                grasp = choose(waiting, self.tracker.tracks, self._p_WT(), self._config)
+            while free := self._free():
+                grasp = choose(free, self.tracker.tracks, self._p_WT(), self._config)
                 if self._reachable(grasp):
                     self.target = grasp
                     chance = yield from self._until_certain(
@@ -83,6 +96,9 @@ class Skills:
                     blemished = chance >= _BLEMISHED_ABOVE
                     return Ended("done", "", Prediction.BLEMISHED if blemished else Prediction.UNBLEMISHED)
                 self.tracker.failed(grasp.track.id, 1, "out of the arm's reach")
+        if occupied := self._occupied():
+            yield from self.body.pause(_WAIT)
+            return Ended("yielding", occupied)
         return Ended("nothing_left", self._what_is_left())
 
     def pick(self) -> Skill[Ended]:
@@ -93,7 +109,14 @@ class Skills:
         X_WT = self._grasp_pose(grasp)
         above = self._planner.hover(X_WT)
         try:
-            yield from self._approach(X_WT)
+            try:
+                yield from self._approach(X_WT, give_way=partial(self._person_at, grasp.track.p_WO))
+            except SkillError as error:
+                if error.code != "yielded":
+                    raise
+                self.target = None
+                yield from self._back_off()
+                return Ended(error.code, error.reason)
             yield from self.body.settle()
             self._X_WT_grasp = X_WT
             yield from self.body.grip(0.0)
@@ -231,6 +254,26 @@ class Skills:
             looks.append(more)
         return sum(looks) / len(looks)
 
+    def _free(self) -> list[Track]:
+        """Onions to be sorted that the last look showed, and that no person is at."""
+        seen = [t for t in self.tracker.waiting() if t.missed == 0]
+        return [t for t in seen if not self._person_at(t.p_WO)]
+
+    def _person_at(self, p_WO: Array) -> str:
+        """Why an onion is the person's, empty when it is not: people are served first."""
+        near = self.person is not None and self.person.near(p_WO, self._config.separation.give_way)
+        return "the person's hand is at the onion" if near else ""
+
+    def _occupied(self) -> str:
+        """Why an empty belt does not mean that the batch is over, as long as a person works on it."""
+        if self.person is None:
+            return ""
+        if self.tracker.waiting():
+            return "the person is at the onions that are left"
+        if self.person.over_window():
+            return "the person's hands are over the belt"
+        return "the person still holds an onion" if self.person.busy else ""
+
     def _what_is_left(self) -> str:
         """Why the batch is over, with what had to be left lying."""
         reasons = [t.reason for t in self.tracker.tracks if t.status is Status.SET_ASIDE]
@@ -252,7 +295,7 @@ class Skills:
                 self._planner.plan_joints(self.body.q_rest, home, self.body.speed_cap)
             )
 
-    def _approach(self, X_WT: Array, *, held: bool = False) -> Skill[None]:
+    def _approach(self, X_WT: Array, *, held: bool = False, give_way: GiveWay = never) -> Skill[None]:
         """To above a grasp and straight down to it in one motion, in two where one is not free."""
         radius = self._held_radius() if held else 0.0
         try:
@@ -260,17 +303,28 @@ class Skills:
                 self.body.q_rest, X_WT, self.body.speed_cap, held_radius=radius
             )
         except PlanError:
-            yield from self._to_pose(self._planner.hover(X_WT), held=held)
-            yield from self._to_pose(X_WT, straight=True, held=held)
+            yield from self._to_pose(self._planner.hover(X_WT), held=held, give_way=give_way)
+            yield from self._to_pose(X_WT, straight=True, held=held, give_way=give_way)
             return
-        yield from self.body.follow(path)
+        yield from self.body.follow(path, give_way)
 
-    def _to_pose(self, X_WT: Array, *, straight: bool = False, held: bool = False) -> Skill[None]:
+    def _back_off(self) -> Skill[None]:
+        """Straight up to where transfers begin, away from what lies on the belt."""
+        X_WT = self._planner.kinematics.X_WT(self.body.q_rest).copy()
+        X_WT[2, 3] = max(X_WT[2, 3], self._config.belt.top_z + _CLEAR_HEIGHT)
+        try:
+            yield from self._to_pose(X_WT, straight=True)
+        except PlanError:
+            return  # it stands high enough, or the next motion finds a way
+
+    def _to_pose(
+        self, X_WT: Array, *, straight: bool = False, held: bool = False, give_way: GiveWay = never
+    ) -> Skill[None]:
         radius = self._held_radius() if held else 0.0
         path = self._planner.plan_to_pose(
             self.body.q_rest, X_WT, self.body.speed_cap, straight=straight, held_radius=radius
         )
-        yield from self.body.follow(path)
+        yield from self.body.follow(path, give_way)
 
     def _held_radius(self) -> float:
         """Of the sphere about the TCP that surely encloses the held onion [m]."""

@@ -9,10 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
 from cell.config import CellConfig
+from cell.decision.companion import Companion
 from cell.decision.fsm import Task
 from cell.decision.io import Inputs, Outputs
-from cell.decision.modes import NOBODY, ModeState, Permit, decide
+from cell.decision.modes import NOBODY, ModeState, Permit, PermitKeeper, decide
 from cell.decision.policy import PolicyTable
 from cell.decision.primitives import Primitives, Skill, SkillError
 from cell.decision.skills import Ended, Skills
@@ -20,13 +23,15 @@ from cell.errors import PlanError
 from cell.motion.planner import Planner
 from cell.motion.views import InspectionViews
 from cell.perception.look import Eye, OnionDetector
-from cell.wire.types import Event, SupervisorState
+from cell.wire.types import Event, Hands, SupervisorState
 from cell.wire.vocabulary import Action
 
 _MOST_FAILURES = 5
 """Skills that may fail in a row before the round is given up; looking at the belt does not count."""
-_COUNTED_ELSEWHERE = ("missed_grasp", "lost_onion", "unreachable")
-"""Ends that the tracker counts per onion until it is set aside."""
+_YIELDS = ("yielded", "yielding")
+"""Ends at which the robot gave way to the person."""
+_COUNTED_ELSEWHERE = ("missed_grasp", "lost_onion", "unreachable", *_YIELDS)
+"""Ends that are no failures, or that the tracker counts per onion until it is set aside."""
 _INFO, _WARN, _ERROR = 20, 30, 40
 
 
@@ -37,6 +42,7 @@ class Supervisor:
         config: the cell. policy: the table to follow.
         planner, views: motion. detector: finds onions in images.
         holder: name under which it holds the command lease.
+        person: watches the person; None in a cell without one.
     """
 
     def __init__(
@@ -47,12 +53,18 @@ class Supervisor:
         views: InspectionViews,
         detector: OnionDetector,
         holder: str = "supervisor",
+        person: Companion | None = None,
     ) -> None:
-        self._config, self._policy = config, policy
+        self._config, self._policy, self._person = config, policy, person
         self._body = Primitives(config, holder)
-        self._skills = Skills(self._body, planner, views, Eye(config, detector))
+        self._skills = Skills(self._body, planner, views, Eye(config, detector), person)
+        self._permits = PermitKeeper(config)
         self._task = Task()
-        self._belief = 0.0
+        self._asked_bin = -1
+        self._yields = 0
+        self._signal = ""
+        if person is not None:
+            self._body.obstructed = lambda q: person.in_the_way(q, self._body.waiting)
         self._running: Skill[Ended] | None = None
         self._action = Action.NO_OP
         self._failures = 0
@@ -65,15 +77,69 @@ class Supervisor:
         """One decision cycle; see `Inputs` and `Outputs`."""
         self._body.inputs = inputs
         self._started = inputs.t if self._started is None else self._started
-        mode = decide(self._config.motion, self._task.own_type, self._permit(), inputs.arm.stopped)
+        permit = self._watch_person(inputs)
+        if not self._result[0]:
+            self._reconsider()
+        mode = self._mode(permit, inputs)
         self._body.speed_cap = mode.cap
         if not self._result[0]:
             self._work(inputs)
+            mode = self._mode(permit, inputs)  # the policy may have changed it, or a wait begun
+            self._body.speed_cap = mode.cap
+            self._show(mode)
         detections = tuple(self._skills.detections)
         self._skills.detections.clear()
         events, self._events = tuple(self._events), []
         done, failure = self._result
-        return Outputs(self._body.take_outbox(), self._state(mode), detections, events, done, failure)
+        hands: tuple[Hands, ...] = ()
+        if self._person is not None:
+            hands = tuple(self._person.hands)
+            self._person.hands.clear()
+        commands = self._body.take_outbox()
+        return Outputs(commands, self._state(mode), detections, events, hands, done, failure)
+
+    # -- the person and the mode ------------------------------------------------------------------
+
+    def _watch_person(self, inputs: Inputs) -> Permit:
+        """Take in what the person camera shows; what it permits."""
+        person = self._person
+        if person is None:
+            return NOBODY
+        held = 0.5 * self._config.onions.diameter[1] if inputs.gripper.holding else 0.0
+        tracks = self._skills.tracker.tracks
+        onions = np.array([[*t.p_WO, t.radius] for t in tracks]).reshape(-1, 4)
+        person.update(inputs, held, onions)
+        for text in person.news:
+            self._say(_INFO, text)
+        person.news.clear()
+        return self._permits.update(inputs.t, person.sensed(inputs.t))
+
+    def _reconsider(self) -> None:
+        """A changed belief may change the mode at once, in the middle of an action."""
+        bin = self._policy.belief_bin(self._belief)
+        if bin == self._asked_bin or self._running is None:
+            return
+        self._asked_bin = bin
+        action = self._policy.action(self._task.state(bin))
+        if action in (Action.SPEED_UP, Action.SLOW_DOWN):
+            self._task.apply(action, Ended("done"))
+            self._say(_INFO, f"{action.name.lower()}: belief {self._belief:.2f}")
+
+    def _mode(self, permit: Permit, inputs: Inputs) -> ModeState:
+        stopped, waiting = inputs.arm.stopped, self._body.waiting
+        return decide(self._config.motion, self._task.own_type, permit, stopped, waiting)
+
+    def _show(self, mode: ModeState) -> None:
+        """Put the mode on the light when it changes."""
+        signal = mode.signal(self._belief)
+        if signal != self._signal:
+            self._signal = signal
+            self._body.show(signal)
+
+    @property
+    def _belief(self) -> float:
+        """P(the person is fatigued); 0 where there is nobody."""
+        return 0.0 if self._person is None else self._person.belief
 
     # -- the loop -------------------------------------------------------------------------------
 
@@ -102,7 +168,8 @@ class Supervisor:
 
     def _begin(self) -> Ended | None:
         """Ask the policy and start what it says; the end, if it ended at once."""
-        state = self._task.state(self._policy.belief_bin(self._belief))
+        self._asked_bin = self._policy.belief_bin(self._belief)
+        state = self._task.state(self._asked_bin)
         self._action = self._policy.action(state)
         skills = self._skills
         starts: dict[Action, Callable[[], Skill[Ended]]] = {
@@ -138,6 +205,9 @@ class Supervisor:
         """Move the task state by how the action ended; False when the round is over."""
         self._reason = f"{ended.code}: {ended.reason}" if ended.reason else ended.code
         self._task.apply(self._action, ended)
+        if self._person is not None:
+            self._person.robot_decided()
+        self._yields += ended.code in _YIELDS
         level = _INFO if ended.done else _WARN
         self._say(level, f"{self._action.name.lower()}: {self._reason}")
         if ended.code == "nothing_left":
@@ -160,14 +230,13 @@ class Supervisor:
 
     # -- what watchers see ------------------------------------------------------------------------
 
-    def _permit(self) -> Permit:
-        return NOBODY
-
     def _say(self, level: int, text: str) -> None:
         self._events.append(Event(self._body.now, level, "supervisor", text))
 
     def _state(self, mode: ModeState) -> SupervisorState:
-        task, target = self._task, self._skills.target
+        task, target, person = self._task, self._skills.target, self._person
+        action, confidence = (Action.NO_OP, 0.0) if person is None else person.action
+        age = 0.0 if person is None else person.sensed(self._body.now).age
         x, y, z = (0.0, 0.0, 0.0) if target is None else target.track.p_WO
         return SupervisorState(
             t=self._body.now,
@@ -190,4 +259,11 @@ class Supervisor:
             remaining=len(self._skills.tracker.waiting()),
             reason=self._reason,
             target=(float(x), float(y), float(z)),
+            human_action=int(action),
+            human_confidence=confidence,
+            gesture="" if person is None else person.sign,
+            separation_age=age,
+            yields=self._yields,
+            light=self._signal,
+            by_human=0 if person is None else person.placed,
         )

@@ -56,9 +56,24 @@ class Rows:
 def speed_bound(path: JointPath, grid: Array, tcp_speed: float, scale: float, gripper_length: float) -> Array:
     """Largest x at each node by joint speeds and tool speed, shape (N + 1,).
 
+    The limits are looked at half way between the nodes, too, where a wrist that turns about the tool
+    can make the tool's share of the motion pass through zero: a node takes the least of its own and
+    its neighbours' half-way values.
+
     Args:
         tcp_speed: [m/s]. scale: fraction of the joint speed limits to use.
     """
+    fine = np.empty(2 * len(grid) - 1)
+    fine[::2], fine[1::2] = grid, 0.5 * (grid[:-1] + grid[1:])
+    at = _bound(path, fine, tcp_speed, scale, gripper_length)
+    out = at[::2].copy()
+    out[:-1] = np.minimum(out[:-1], at[1::2])
+    out[1:] = np.minimum(out[1:], at[1::2])
+    return out
+
+
+def _bound(path: JointPath, grid: Array, tcp_speed: float, scale: float, gripper_length: float) -> Array:
+    """Largest x at given places (M,); see `speed_bound`."""
     q, dq = path(grid), path(grid, 1)
     joints = (scale * QD_MAX / np.maximum(np.abs(dq), _EPS)).min(axis=1) ** 2
     dp = np.einsum("nij,nj->ni", tcp_jacobian(q, gripper_length), dq)

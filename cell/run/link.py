@@ -26,6 +26,7 @@ from cell.wire.types import (
     GripperState,
     Heartbeat,
     JointState,
+    LightCommand,
     Reply,
     Resume,
     StepReply,
@@ -66,6 +67,8 @@ def send(session: Session, command: Command) -> Reply:
             key = keys.gripper_command
         case Resume():
             key = keys.resume
+        case LightCommand():
+            key = keys.light_command
         case Capture():
             key = keys.camera(command.camera, "capture")
     try:

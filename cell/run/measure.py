@@ -7,6 +7,7 @@ was planned.
 from __future__ import annotations
 
 import hashlib
+import math
 import threading
 from itertools import pairwise
 
@@ -21,6 +22,9 @@ from cell.wire.session import Session, Tapped
 from cell.wire.types import JointState
 from cell.wire.vocabulary import Mode
 
+_BRAKING = 0.6
+"""Longest braking from the industrial to the collaborative cap [s]."""
+
 
 class Meter:
     """Collects one round's joint states and hashes joint states, images and decisions."""
@@ -30,6 +34,7 @@ class Meter:
         self._lock = threading.Lock()
         self._samples: list[JointState] = []
         self._modes: list[tuple[float, int]] = []
+        self._nearest = math.inf
         self.lost = 0
         self._images, self._decisions = hashlib.sha256(), hashlib.sha256()
         session.listen_all(session.keys.joint_states, self._store)
@@ -42,6 +47,7 @@ class Meter:
         self._decisions.update(codec.encode(outputs.state))
         for command in outputs.commands:
             self._decisions.update(codec.encode(command.order))
+        self._nearest = min(self._nearest, outputs.state.separation)
         if not self._modes or self._modes[-1][1] != outputs.state.mode:
             self._modes.append((inputs.t, outputs.state.mode))
 
@@ -66,7 +72,10 @@ class Meter:
         )
 
     def max_tcp_speed(self) -> dict[str, float]:
-        """Largest executed TCP speed per mode [m/s], by central differences of positions."""
+        """Largest executed TCP speed per mode [m/s], by central differences of positions.
+
+        The braking after a change of mode, at most `_BRAKING` long, belongs to neither.
+        """
         t, q, _ = self.motion()
         out = {"collaborative": 0.0, "industrial": 0.0}
         if len(t) < 3:
@@ -76,10 +85,15 @@ class Meter:
         starts = np.array([start for start, _ in self._modes])
         modes = np.array([mode for _, mode in self._modes])
         index = np.clip(np.searchsorted(starts, t[1:-1], side="right") - 1, 0, None)
+        settled = (index == 0) | (t[1:-1] - starts[index] > _BRAKING)
         for name, mode in (("collaborative", Mode.COLLABORATIVE), ("industrial", Mode.INDUSTRIAL)):
-            of_mode = speed[modes[index] == mode]
+            of_mode = speed[(modes[index] == mode) & settled]
             out[name] = float(of_mode.max()) if of_mode.size else 0.0
         return out
+
+    def min_separation(self) -> float | None:
+        """Least measured separation [m]; None when nobody was ever in sight."""
+        return round(self._nearest, 4) if math.isfinite(self._nearest) else None
 
     def joint_limits(self) -> dict[str, float]:
         """Largest executed joint speed and acceleration as shares of their limits."""

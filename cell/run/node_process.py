@@ -27,9 +27,20 @@ class NodeProcess:
     its standard input and ends by itself when this process dies.
     """
 
-    def __init__(self, config: CellConfig, *, backend: str, lock_step: bool, seed: int, onions: int) -> None:
+    def __init__(
+        self,
+        config: CellConfig,
+        *,
+        backend: str,
+        lock_step: bool,
+        seed: int,
+        onions: int,
+        person: str = "",
+    ) -> None:
         command = [sys.executable, "-m", "hil", "--backend", backend]
         command += ["--seed", str(seed), "--onions", str(onions)]
+        if person:
+            command += ["--person", person]
         if lock_step:
             command.append("--lock-step")
         self._process = subprocess.Popen(

@@ -41,6 +41,8 @@ class RoundResult:
     joint_limits: dict[str, float] = field(default_factory=dict)
     sha256: dict[str, str] = field(default_factory=dict)
     misses: tuple[str, ...] = ()
+    yields: int = 0
+    person_contacts: int = 0
 
     @property
     def succeeded(self) -> bool:
@@ -72,3 +74,10 @@ def judge(truth: Truth) -> tuple[int, int, tuple[str, ...]]:
             misplaced += 1
             lines.append(f"onion {i} ({kind}) ended on the {place} at ({where}) m")
     return misplaced, dropped, tuple(lines)
+
+
+def gesture_delay(truth: Truth) -> float | None:
+    """Mean time from a sign's being shown to the person's seeing that it was understood [s]."""
+    shown = () if truth.person is None else truth.person.gestures
+    delays = [g.answered - g.shown for g in shown if g.answered >= 0.0]
+    return round(sum(delays) / len(delays), 6) if delays else None

@@ -14,6 +14,8 @@ import numpy as np
 
 from cell.clock import perf_s
 from cell.config import CellConfig
+from cell.decision.belief import make_belief
+from cell.decision.companion import Companion
 from cell.decision.io import Inputs, Outputs
 from cell.decision.policy import PolicyTable
 from cell.decision.supervisor import Supervisor
@@ -22,11 +24,12 @@ from cell.motion.planner import Planner
 from cell.motion.reach import check_reachable
 from cell.motion.views import InspectionViews
 from cell.perception.detector import Detector
+from cell.perception.person import PersonEye
 from cell.record.recorder import Recorder
 from cell.run.link import Link, LiveLink, StepLink
 from cell.run.measure import Meter
 from cell.run.node_process import NodeProcess
-from cell.run.result import RoundResult, judge
+from cell.run.result import RoundResult, gesture_delay, judge
 from cell.version import code_version, commit
 from cell.wire.session import Session
 from cell.wire.types import Truth, TruthRequest
@@ -47,6 +50,7 @@ class RoundOptions:
         lock_step: simulated time moves only with the supervisor, as fast as the machine can.
         seed, onions: the batch.
         record: MCAP file to write, or None.
+        person: persona of the simulated person; "real" for a real one; empty for nobody.
     """
 
     backend: str = "sim"
@@ -54,6 +58,7 @@ class RoundOptions:
     seed: int = 0
     onions: int = 15
     record: Path | None = None
+    person: str = ""
 
 
 def run_round(
@@ -75,11 +80,15 @@ def run_round(
                 lock_step=options.lock_step,
                 seed=options.seed,
                 onions=options.onions,
+                person=options.person,
             )
         )
         # While the node builds its world, this process plans its inspection views.
         planner = Planner(config)
-        supervisor = Supervisor(config, policy, planner, InspectionViews(config), detector, HOLDER)
+        views = InspectionViews(config)
+        supervisor = Supervisor(
+            config, policy, planner, views, detector, HOLDER, _companion(config, options, planner)
+        )
         _warm_up(planner, detector, config)
         node.wait_ready()
         session = stack.enter_context(Session.connect(config, patient=options.lock_step))
@@ -91,6 +100,13 @@ def run_round(
         stack.callback(link.close)
         with _interruptible():
             return _drive(supervisor, link, session, meter, options, policy, watch)
+
+
+def _companion(config: CellConfig, options: RoundOptions, planner: Planner) -> Companion | None:
+    """What watches the person, if there is one."""
+    if not options.person:
+        return None
+    return Companion(config, PersonEye(config), make_belief(config.supervisor.belief), planner.collision)
 
 
 def _drive(
@@ -128,23 +144,24 @@ def _drive(
     meter.wait_for(inputs.t)
     truth = session.call(session.keys.sim_truth, TruthRequest(HOLDER), Truth)
     misplaced, dropped, misses = judge(truth)
+    by_human = int(truth.by_human.sum())
     return RoundResult(
         backend=options.backend,
         policy=policy.name,
         seed=options.seed,
-        person="none",
+        person=options.person or "none",
         onions=options.onions,
-        sorted=outputs.state.sorted,
+        sorted=outputs.state.sorted + by_human,
         by_robot=outputs.state.sorted,
-        by_human=0,
+        by_human=by_human,
         misplaced=misplaced,
         dropped=dropped,
         sort_time_s=round(duration, 6),
         mode_switches=meter.mode_switches,
         industrial_s=round(meter.time_in(Mode.INDUSTRIAL, inputs.t), 6),
-        min_separation_m=None,
+        min_separation_m=meter.min_separation(),
         max_tcp_speed_m_s=meter.max_tcp_speed(),
-        gesture_delay_s=None,
+        gesture_delay_s=gesture_delay(truth),
         real_time_factor=round(factor, 3),
         commit=commit(),
         version=code_version(),
@@ -154,6 +171,8 @@ def _drive(
         joint_limits=meter.joint_limits(),
         sha256=meter.digests(),
         misses=misses,
+        yields=outputs.state.yields,
+        person_contacts=0 if truth.person is None else truth.person.contacts,
     )
 
 
@@ -171,6 +190,8 @@ def _publish(session: Session, outputs: Outputs) -> None:
     session.publish(session.keys.supervisor_state, outputs.state)
     for detections in outputs.detections:
         session.publish(session.keys.detections, detections)
+    for hands in outputs.hands:
+        session.publish(session.keys.hands, hands)
     for event in outputs.events:
         session.publish(session.keys.events, event)
 

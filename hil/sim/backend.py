@@ -41,7 +41,6 @@ class SimBackend:
         self._config = config
         self._first = (seed, onions)
         self._persona = person
-        self._signal = "off"
         self._world: World | None = None
         self._renderer: Renderer | None = None
         self._cameras: dict[str, Camera] = {}
@@ -62,7 +61,14 @@ class SimBackend:
         choice = self._config.renderer
         if choice == "auto":
             choice = best_renderer()
-        self._world = World(self._config, seed, onions, reference_visuals=choice == "tiny")
+        if choice == "tiny" and self._persona:
+            raise BackendError(
+                "the simulated person needs the gl renderer (renderer: gl), because PyBullet's own cannot draw "
+                "a body that moves; where EGL does not work, use --person none"
+            )
+        self._world = World(
+            self._config, seed, onions, reference_visuals=choice == "tiny", person=self._persona
+        )
         self._renderer = make_renderer(choice, self._world.client, self._world.scene)
         self._cameras = {name: Camera(name, camera, seed) for name, camera in self._config.cameras.items()}
         for camera in self._cameras.values():  # the first image compiles shaders: not in the loop
@@ -98,7 +104,7 @@ class SimBackend:
         return self.world.gripper.command(width, speed, force)
 
     def command_light(self, signal: str) -> None:
-        self._signal = signal
+        self.world.show(signal)
 
     def command_belt(self, onions: int, seed: int) -> None:
         del onions, seed
@@ -113,7 +119,8 @@ class SimBackend:
             if len(self._contacts) < _CONTACTS_KEPT:
                 self._contacts.append(f"{world.time:.3f} s: robot touches {', '.join(touched)}")
         for camera in self._cameras.values():
-            if camera.wants_exposure(world.time):
+            watched = camera.name != "person" or world.person is not None
+            if watched and camera.wants_exposure(world.time):
                 self._expose(camera)
 
     # -- measurements -----------------------------------------------------------------------------
@@ -156,6 +163,8 @@ class SimBackend:
             radius=np.array([onion.radius for onion in world.onions]),
             arm_contacts=self._contact_ticks,
             contact_log=tuple(self._contacts),
+            by_human=np.array([world.by_human(i) for i in range(count)], dtype=bool),
+            person=None if world.person is None else world.person.truth(),
         )
 
     # -- cameras ------------------------------------------------------------------------------------
@@ -167,6 +176,7 @@ class SimBackend:
 
     def _expose(self, camera: Camera) -> None:
         assert self._renderer is not None
+        self.world.refresh()
         image = self._renderer.render(camera.X_WC, camera.pinhole, camera.near, camera.far)
         camera.expose(self.now(), image)
 

@@ -5,22 +5,27 @@ from __future__ import annotations
 import os
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 import urdf
-from cell.config import CellConfig
+from cell.config import BinConfig, CellConfig
 from cell.errors import ConfigError
 from cell.frames import Array, from_quaternion, pose, quaternion
 from hil.sim.arm import SimArm
 from hil.sim.fixtures import fixtures
 from hil.sim.gripper import SimGripper
+from hil.sim.light import ModeLight
 from hil.sim.onions import Onion, make_onion
 from hil.sim.physics import bullet, connect, quiet
 from hil.sim.render.mesh import box_mesh, cylinder_mesh
 from hil.sim.render.scene import Scene, Visual, add_urdf_visuals
 
-LABELS = {"robot": 1, "belt": 2, "bin": 3, "post": 4, "floor": 5, "pedestal": 6}
+if TYPE_CHECKING:
+    from hil.sim.person.presence import Presence
+
+LABELS = {"robot": 1, "belt": 2, "bin": 3, "post": 4, "floor": 5, "pedestal": 6, "person": 7, "light": 8}
 """Labels of the scene's parts; onion number i has label `ONION_LABEL + i`."""
 ONION_LABEL = 100
 
@@ -39,10 +44,15 @@ class World:
         onions: how many lie on the belt.
         reference_visuals: also give PyBullet textured meshes, which its TinyRenderer needs
             and which cost about half a second.
+        person: name of the persona of the person who works here; empty: nobody.
+
+    Attributes:
+        person: the person, None where there is nobody.
+        signal: what the mode light shows.
     """
 
     def __init__(
-        self, config: CellConfig, seed: int, onions: int, *, reference_visuals: bool = False
+        self, config: CellConfig, seed: int, onions: int, *, reference_visuals: bool = False, person: str = ""
     ) -> None:
         self.config = config
         self.time_step = config.arm.control_period / config.arm.physics_substeps
@@ -62,6 +72,12 @@ class World:
         self.gripper = SimGripper(self.client, self.robot, self.joints, config.gripper)
         self._rng = np.random.default_rng([seed, 0x0410])
         self._add_batch(onions)
+        self._light = ModeLight(self.scene, config, self._anchor, self._X_WA)
+        self.person: Presence | None = None
+        if person:
+            from hil.sim.person.presence import Presence
+
+            self.person = Presence(self, person, seed, self._anchor, self._X_WA)
 
     # -- what the backend calls ---------------------------------------------------------------
 
@@ -77,7 +93,23 @@ class World:
             self.arm.follow(self.time + self.time_step)
             bullet.stepSimulation(physicsClientId=self.client)
             self._substep += 1
+        if self.person is not None:
+            self.person.step(self.signal)
         return moving
+
+    @property
+    def signal(self) -> str:
+        """What the mode light shows, one of `vocabulary.SIGNALS`."""
+        return self._light.signal
+
+    def show(self, signal: str) -> None:
+        """Set the mode light."""
+        self._light.show(signal)
+
+    def refresh(self) -> None:
+        """Bring the scene up to date with the person; call before a picture is taken."""
+        if self.person is not None:
+            self.person.refresh()
 
     def close(self) -> None:
         """Free the physics client; harmless when repeated."""
@@ -101,15 +133,22 @@ class World:
 
     def place_of(self, index: int) -> str:
         """Where an onion is: "belt", "bin", "held" (in the air) or "floor"."""
-        p_WO = self.onion_pose(index)[:3, 3]
-        c, b = self.config.bin, self.config.belt
-        in_bin = np.all(np.abs(p_WO[:2] - c.center[:2]) <= np.array(c.size[:2]) / 2)
-        if in_bin and c.center[2] - c.size[2] - 0.02 < p_WO[2] < c.center[2] + 0.03:
+        (x, y, z), _ = bullet.getBasePositionAndOrientation(
+            self.onion_bodies[index], physicsClientId=self.client
+        )
+        if self.person is not None and self.person.agent.held == index:
+            return "held"
+        if any(_inside(b, x, y, z) for b in (self.config.bin, self.config.person.bin)):
             return "bin"
-        over_belt = b.x[0] <= p_WO[0] <= b.x[1] and b.y[0] <= p_WO[1] <= b.y[1]
-        if over_belt and b.top_z < p_WO[2] < b.top_z + 0.06:
+        b = self.config.belt
+        over_belt = b.x[0] <= x <= b.x[1] and b.y[0] <= y <= b.y[1]
+        if over_belt and b.top_z < z < b.top_z + 0.06:
             return "belt"
-        return "held" if p_WO[2] > b.top_z - 0.05 else "floor"
+        return "held" if z > b.top_z - 0.05 else "floor"
+
+    def by_human(self, index: int) -> bool:
+        """The person has sorted this onion."""
+        return self.person is not None and self.person.sorted_by_human(index)
 
     def forbidden_contacts(self) -> list[str]:
         """Names of fixed parts that the robot touches now (its pedestal excepted)."""
@@ -149,6 +188,8 @@ class World:
         )
         bullet.changeDynamics(body, -1, lateralFriction=0.8, rollingFriction=0.01, physicsClientId=c)
         self.fixed[body] = group
+        if group == "floor":
+            self._anchor, self._X_WA = body, X_WF
         self.scene.add(
             Visual(
                 body=body, link=-1, X_LV=np.eye(4), mesh=mesh, rgba=rgba, texture=None, label=LABELS[group]
@@ -169,6 +210,8 @@ class World:
         for index in range(bullet.getNumJoints(body, physicsClientId=c)):
             info = bullet.getJointInfo(body, index, physicsClientId=c)
             joints[info[1].decode()] = index
+            if info[12].decode() == "tcp":
+                self.tcp_link = index
             if info[12].decode() in ("base", "flange", "tool0", "tcp"):
                 # PyBullet gives links without inertia 1 kg; these are frames, not bodies.
                 bullet.changeDynamics(
@@ -256,6 +299,12 @@ class World:
             cv2.imwrite(file, np.ascontiguousarray(onion.texture[:, :, 2::-1]))
             texture = bullet.loadTexture(file, physicsClientId=self.client)
         bullet.changeVisualShape(body, -1, textureUniqueId=texture, physicsClientId=self.client)
+
+
+def _inside(bin: BinConfig, x: float, y: float, z: float) -> bool:
+    """Whether the centre of an onion at (x, y, z) [m] is in a bin, or on the pile that fills it."""
+    (cx, cy, top), (sx, sy, depth) = bin.center, bin.size
+    return abs(x - cx) <= sx / 2 and abs(y - cy) <= sy / 2 and top - depth - 0.02 < z < top + 0.03
 
 
 def _random_quaternion(rng: np.random.Generator) -> Array:

@@ -86,7 +86,7 @@ def _palm_depths(landmarks: Array, depth: NDArray[np.float32]) -> NDArray[np.flo
     height, width = depth.shape
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     z = depth[v[inside], u[inside]]
-    return z[np.isfinite(z) & (z > 0.0)]
+    return np.asarray(z[np.isfinite(z) & (z > 0.0)], np.float32)
 
 
 def _metres_per_pixel(hand: Hand) -> float:

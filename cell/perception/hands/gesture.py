@@ -91,8 +91,8 @@ def measure(landmarks: Array, world: Array) -> Features:
     knuckles = np.linalg.norm(world[_KNUCKLES] - wrist, axis=1)
     away = np.linalg.norm(world[_NEIGHBOURS] - world[4], axis=1).min()
     thumb = landmarks[4] - landmarks[2]
-    palm = np.linalg.norm(landmarks[9] - landmarks[0]) + np.linalg.norm(landmarks[5] - landmarks[17])
-    palm = max(float(palm), 1e-6)
+    length = np.linalg.norm(landmarks[9] - landmarks[0]) + np.linalg.norm(landmarks[5] - landmarks[17])
+    palm = max(float(length), 1e-6)
     rest = landmarks[_REST, 1]
     return Features(
         curl=float((tips / np.maximum(knuckles, 1e-6)).mean()),

@@ -35,13 +35,22 @@ class Palm:
     """One palm.
 
     Attributes:
-        box: (4,) x0, y0, x1, y1 [px]. keypoints: (7, 2) [px], 0 = wrist, 2 = middle MCP.
+        box: (4,) x0, y0, x1, y1 [px] of an upright square's palm; for a turned one the same box
+            about its centre in the image. keypoints: (7, 2) [px], 0 = wrist, 2 = middle MCP.
         score: 0..1.
     """
 
     box: Array
     keypoints: Array
     score: float
+
+    def to_image(self, roi: Roi) -> Palm:
+        """From the network's pixels to those of the image that `roi` was cut out of."""
+        centre = roi.to_image((self.box[:2] + self.box[2:]) / 2, SIDE)
+        half = (self.box[2:] - self.box[:2]) / 2 * (roi.side / SIDE)
+        return Palm(
+            np.concatenate([centre - half, centre + half]), roi.to_image(self.keypoints, SIDE), self.score
+        )
 
     def roi(self) -> Roi:
         """The square around the whole hand, turned so that its fingers point up."""
@@ -77,12 +86,7 @@ class PalmDetector:
             threshold: least score, 0..1.
         """
         boxes, logits = self._network.run(cut(rgb, roi, SIDE, replicate=False))
-        return tuple(
-            Palm(
-                roi.to_image(p.box.reshape(2, 2), SIDE).ravel(), roi.to_image(p.keypoints, SIDE), p.score
-            )
-            for p in suppress(decode(boxes[0], logits[0], threshold))
-        )
+        return tuple(p.to_image(roi) for p in suppress(decode(boxes[0], logits[0], threshold)))
 
 
 def letterbox(width: int, height: int) -> Roi:

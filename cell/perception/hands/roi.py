@@ -10,6 +10,12 @@ from numpy.typing import NDArray
 
 from cell.frames import Array
 
+_BITS = 5
+_STEPS = 1 << _BITS
+"""Positions between two pixels."""
+_LIMITS = (-30_000.0, 30_000.0)
+"""Pixel coordinates that OpenCV's remapping can express."""
+
 
 @dataclass(frozen=True)
 class Roi:
@@ -64,7 +70,9 @@ def cut(rgb: NDArray[np.uint8], roi: Roi, size: int, replicate: bool) -> NDArray
 
     Pixel (i, j) of the result shows the image at `roi.to_image((i, j))`: the networks were
     trained with this convention, in which pixel `size / 2` is the square's centre. Half-pixel
-    centres would move the landmarks by up to 6 px.
+    centres would move the landmarks by up to 6 px. Interpolation is linear between positions
+    rounded to 1/32 px, as in the OpenCV that MediaPipe contains; exact positions would move the
+    landmarks by 0.2 px.
 
     Args:
         rgb: shape (H, W, 3) uint8.
@@ -72,10 +80,15 @@ def cut(rgb: NDArray[np.uint8], roi: Roi, size: int, replicate: bool) -> NDArray
         size: [px].
         replicate: continue the image's border outwards, instead of black.
     """
-    scale = roi.side / size
-    turn = rotation(roi.angle) * scale
-    shift = np.array([roi.u, roi.v]) - turn @ np.full(2, size / 2)
-    matrix = np.column_stack([turn, shift])
+    turn = rotation(roi.angle) * (roi.side / size)
+    start = np.array([roi.u, roi.v]) - turn @ np.full(2, size / 2)
+    along = np.arange(size)
+    x, y = (
+        np.rint(_STEPS * np.clip(turn[k, 0] * along + (turn[k, 1] * along + start[k])[:, None], *_LIMITS))
+        for k in (0, 1)
+    )
+    x, y = x.astype(np.int32), y.astype(np.int32)
+    whole = np.stack([x >> _BITS, y >> _BITS], axis=-1).astype(np.int16)
+    fraction = ((y & (_STEPS - 1)) * _STEPS + (x & (_STEPS - 1))).astype(np.uint16)
     border = cv2.BORDER_REPLICATE if replicate else cv2.BORDER_CONSTANT
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpAffine(rgb, matrix, (size, size), flags=flags, borderMode=border), np.uint8)
+    return np.asarray(cv2.remap(rgb, whole, fraction, cv2.INTER_LINEAR, borderMode=border), np.uint8)

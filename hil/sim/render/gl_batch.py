@@ -46,6 +46,7 @@ class Batch:
         self.casters = int((self.radii <= CASTER_RADIUS).sum())
         self._handles = [handle for handle, _ in items]
         self._seen = dict.fromkeys(self._handles, 0)
+        self._painted = dict.fromkeys(self._handles, 0)
         self._build_buffers(ctx, programs, [visual for _, visual in items])
 
     def _build_buffers(self, ctx: Any, programs: dict[str, Any], visuals: list[Visual]) -> None:
@@ -97,14 +98,17 @@ class Batch:
         ]  # fmt: skip
 
     def follow(self, scene: Scene) -> None:
-        """Upload the vertices of visuals that were deformed since the last call."""
-        for handle in self._handles:
+        """Take over the vertices and colours of visuals that changed since the last call."""
+        for number, handle in enumerate(self._handles):
+            painted = scene.recolored.get(handle, 0)
+            if painted != self._painted[handle]:
+                self._painted[handle] = painted
+                self._records[number, 12:15] = scene[handle].rgba[:3]
             count = scene.deformed.get(handle, 0)
             if count == self._seen[handle]:
                 continue
             self._seen[handle] = count
             mesh = scene[handle].mesh
-            number = self._handles.index(handle)
             self.centers_V[number], self.radii[number] = _bounding_sphere(mesh)
             self._moving.write(_position_normal(mesh).tobytes(), offset=24 * self._starts[handle])
 

@@ -57,13 +57,17 @@ class Visual:
 
 
 class Scene:
-    """The set of visuals. `version` counts additions and removals, `deformed` mesh changes."""
+    """The set of visuals.
+
+    `version` counts additions and removals, `deformed` and `recolored` changes of a mesh or a colour.
+    """
 
     def __init__(self) -> None:
         self._visuals: dict[int, Visual] = {}
         self._next = 0
         self.version = 0
         self.deformed: dict[int, int] = {}
+        self.recolored: dict[int, int] = {}
 
     def add(self, visual: Visual) -> int:
         """Add a shape; returns its handle. Raises `RenderError` for an unusable texture."""
@@ -85,6 +89,7 @@ class Scene:
         """Remove one shape; harmless if it is gone."""
         if self._visuals.pop(handle, None) is not None:
             self.deformed.pop(handle, None)
+            self.recolored.pop(handle, None)
             self.version += 1
 
     def remove_body(self, body: int) -> None:
@@ -108,6 +113,11 @@ class Scene:
         n = smooth_normals(v, mesh.faces) if normals is None else np.ascontiguousarray(normals, np.float32)
         self._visuals[handle] = replace(visual, mesh=replace(mesh, vertices=v, normals=n))
         self.deformed[handle] = self.deformed.get(handle, 0) + 1
+
+    def set_color(self, handle: int, rgba: Rgba) -> None:
+        """Give a shape another colour 0..1; cheap, unlike removing and adding it."""
+        self._visuals[handle] = replace(self[handle], rgba=rgba)
+        self.recolored[handle] = self.recolored.get(handle, 0) + 1
 
     def __getitem__(self, handle: int) -> Visual:
         if handle not in self._visuals:
@@ -166,7 +176,7 @@ def add_urdf_visuals(
             if color is not None and mesh.colors is not None:
                 mesh = replace(mesh, colors=None)  # a URDF's own colour replaces the file's
             rgba = color if color is not None else (_GREY if mesh.colors is None else (1.0, 1.0, 1.0, 1.0))
-            X_LV = _origin(element.find("origin"))
+            X_LV = origin(element.find("origin"))
             handles.append(scene.add(Visual(body, links[name], X_LV, mesh, rgba, None, label)))
     return handles
 
@@ -181,7 +191,8 @@ def link_indices(body: int, client: int) -> dict[str, int]:
     return links
 
 
-def _origin(element: ET.Element | None) -> Array:
+def origin(element: ET.Element | None) -> Array:
+    """Pose (4, 4) of a URDF's `<origin>`; no element means none."""
     if element is None:
         return np.eye(4)
     roll, pitch, yaw = _numbers(element.get("rpy", "0 0 0"), 3)
@@ -246,5 +257,6 @@ __all__ = [
     "capsule_mesh",
     "cylinder_mesh",
     "link_indices",
+    "origin",
     "sphere_mesh",
 ]

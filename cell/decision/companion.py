@@ -1,0 +1,163 @@
+"""All that the supervisor knows of the person: points, signs, action, belief, and how near they are."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from cell.config import CellConfig
+from cell.decision.belief import Belief
+from cell.decision.io import Inputs
+from cell.decision.modes import Sensed
+from cell.frames import Array
+from cell.motion.collision import CollisionModel
+from cell.perception.hands.gesture import Gesture
+from cell.perception.human_action import HumanActions
+from cell.perception.person import PersonEye, PersonView
+from cell.wire.types import Hands
+from cell.wire.vocabulary import Action
+
+_REMEMBERED = 1.0
+"""Joint states are kept this long to look up those of an exposure [s]."""
+_NEAR = 400
+"""So many of the person's points, the nearest to the arm, are looked at for the way ahead."""
+_BACKING = 0.005
+"""A motion that takes the arm away from the person by this much is never in the way [m]."""
+_OVER_BELT = 0.30
+
+
+@dataclass(frozen=True)
+class _Then:
+    t: float
+    q: Array
+    width: float
+    held: float
+
+
+class Companion:
+    """The person beside the robot.
+
+    Args:
+        eye: the person camera. belief: fed with what is observed. collision: the arm's spheres.
+    """
+
+    def __init__(self, config: CellConfig, eye: PersonEye, belief: Belief, collision: CollisionModel) -> None:
+        self._config, self._eye, self._belief, self._collision = config, eye, belief, collision
+        self._actions = HumanActions(config)
+        self._past: deque[_Then] = deque()
+        self._view: PersonView | None = None
+        self._fed: Action | None = None
+        self._fresh = False
+        self.news: list[str] = []
+        self.hands: list[Hands] = []
+
+    # -- taking in -------------------------------------------------------------------------------------
+
+    def update(self, inputs: Inputs, held_radius: float, onions: Array) -> None:
+        """One tick: the arm's state, and any frame of the person camera."""
+        width = round(inputs.gripper.width, 2)  # a few widths, so that the spheres are made once
+        now = _Then(inputs.t, inputs.joints.q, width, held_radius)
+        self._past.append(now)
+        while self._past[0].t < inputs.t - _REMEMBERED:
+            self._past.popleft()
+        self._fresh = False
+        for frame in inputs.frames:
+            if frame.camera != "person" or (self._view is not None and frame.t <= self._view.t):
+                continue
+            then = min(self._past, key=lambda s: abs(s.t - frame.t))
+            before = Gesture.NONE if self._view is None else self._view.sign
+            self._view = self._eye.look(frame, self._arm(then), onions)
+            self._fresh = True
+            self.hands.append(self._view.hands)
+            self._observe()
+            if self._view.sign is not before and self._view.sign is not Gesture.NONE:
+                self.news.append(f"the person shows thumbs {self._view.sign.value}")
+
+    def _observe(self) -> None:
+        """Feed the belief when the person's action has changed."""
+        assert self._view is not None
+        reading = self._actions.update(self._view)
+        if reading.confidence > 0.0 and reading.action is not self._fed:
+            self._fed = reading.action
+            self._belief.observe(reading.action)
+
+    def robot_decided(self) -> None:
+        """An action of the robot ended: in the domain that is an event at which people are observed."""
+        if self._fed is not None:
+            self._belief.observe(self._fed)
+
+    # -- what is known ---------------------------------------------------------------------------------
+
+    @property
+    def belief(self) -> float:
+        """P(the person is fatigued)."""
+        return self._belief.value
+
+    @property
+    def action(self) -> tuple[Action, float]:
+        """What the person does, and how surely."""
+        reading = self._actions.reading
+        return reading.action, reading.confidence
+
+    @property
+    def sign(self) -> str:
+        return "" if self._view is None else self._view.sign.value
+
+    @property
+    def placed(self) -> int:
+        """Onions that the person was seen to sort."""
+        return self._actions.placed
+
+    @property
+    def busy(self) -> bool:
+        """The person seems to hold an onion."""
+        return self._actions.busy
+
+    def sensed(self, t: float) -> Sensed:
+        """The separation from the arm as it is now."""
+        if self._view is None:
+            return Sensed(float("inf"), float("inf"), "no frame of the person camera has come", fresh=False)
+        distance, _ = self._view.cloud.distance(self._arm(self._past[-1]))
+        sign_up = self._fresh and self._view.glimpse is Gesture.UP
+        return Sensed(distance, t - self._view.t, self._view.problem, sign_up, self._fresh)
+
+    def near(self, p_W: Array, radius: float) -> bool:
+        """Whether the person is nearer than `radius` [m] to a place (3,) on the belt, seen from above."""
+        points = self._points()
+        low = points[points[:, 2] < self._config.belt.top_z + _OVER_BELT]
+        return bool(len(low)) and bool((np.linalg.norm(low[:, :2] - p_W[:2], axis=1) < radius).any())
+
+    def over_window(self) -> bool:
+        """Whether the person's hands are over the robot's part of the belt, where they may hide onions."""
+        belt, points = self._config.belt, self._points()
+        return bool((points[:, 0] < belt.pick_x[1] + 0.05).any())
+
+    def in_the_way(self, q: Array, waiting: bool) -> bool:
+        """Whether configurations (N, 6) [rad] come too near to the person; see `following.Obstructed`."""
+        points = self._points()
+        if not len(points):
+            return False
+        limit = self._config.separation.release if waiting else self._config.separation.hold
+        now = self._past[-1]
+        here = float(_clearance(points, self._arm(now)))
+        p, r, _ = self._collision.spheres(q, width=now.width, held_radius=now.held)
+        ahead = min(_clearance(points, np.column_stack([one, r])) for one in p)
+        return bool(ahead < limit and ahead < here - _BACKING)
+
+    # -- internals -------------------------------------------------------------------------------------
+
+    def _points(self) -> Array:
+        return np.zeros((0, 3)) if self._view is None else self._view.cloud.p_WP[:_NEAR]
+
+    def _arm(self, then: _Then) -> Array:
+        p, r, _ = self._collision.spheres(then.q[None], width=then.width, held_radius=then.held)
+        return np.column_stack([p[0], r])
+
+
+def _clearance(points: Array, spheres: Array) -> float:
+    """Least distance [m] between points (N, 3) and spheres (S, 4)."""
+    c = spheres[:, :3]
+    squared = (points * points).sum(1)[:, None] + (c * c).sum(1) - 2.0 * (points @ c.T)
+    return float((np.sqrt(np.maximum(squared, 0.0)) - spheres[:, 3]).min())

@@ -1,0 +1,67 @@
+"""Where in the person's points a hand may be: what depth says before any network looks.
+
+A hand that works or makes a sign is the end of an arm that reaches towards the belt or towards
+the camera. Both ends are offered; which of them is a hand, the networks say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cell.config import CellConfig
+from cell.frames import Array
+
+_TIP = 0.08
+"""A hand reaches this far back from its foremost point [m]."""
+_LEAST_POINTS = 6
+_SIDE = 0.75
+"""Half the width of the place in which the person works [m]."""
+_TRUNK = 0.16
+"""Points nearer than this to the trunk's axis are the trunk's [m]."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """The end of an arm: middle (3,) [m] of its foremost points, and how many they are."""
+
+    p_W: Array
+    points: int
+
+
+def hand_regions(p_WP: Array, config: CellConfig) -> tuple[Region, ...]:
+    """The ends of arms in the person's points (M, 3) [m]: towards the robot, then towards the camera.
+
+    Only of a person near the working place; nothing else makes a sign or handles onions.
+    """
+    station = np.array(config.person.station)
+    near = (np.abs(p_WP[:, 1] - station[1]) < _SIDE) & (p_WP[:, 0] < station[0] + _SIDE)
+    near &= p_WP[:, 2] > config.belt.top_z - 0.02
+    p = p_WP[near]
+    if len(p) < _LEAST_POINTS:
+        return ()
+    trunk = _trunk(p_WP, station)
+    arms = p[np.linalg.norm(p[:, :2] - trunk, axis=1) > _TRUNK]
+    if len(arms) < _LEAST_POINTS:
+        return ()
+    camera = np.array(config.cameras["person"].position)
+    found: list[Region] = []
+    for measure in (arms[:, 0], np.linalg.norm(arms - camera, axis=1)):
+        foremost = arms[np.argsort(measure, kind="stable")[:_LEAST_POINTS]].mean(axis=0)
+        tip = arms[np.linalg.norm(arms - foremost, axis=1) < _TIP]
+        if len(tip) < _LEAST_POINTS:
+            continue
+        region = Region(tip.mean(axis=0), len(tip))
+        if all(np.linalg.norm(region.p_W - other.p_W) > _TIP for other in found):
+            found.append(region)
+    return tuple(found)
+
+
+def _trunk(p_WP: Array, station: Array) -> Array:
+    """Middle (2,) [m] of the person seen from above: of what is higher than the hips."""
+    upper = p_WP[(p_WP[:, 2] > 0.0) & (np.abs(p_WP[:, 1] - station[1]) < _SIDE)]
+    if not len(upper):
+        return station
+    out: Array = np.median(upper[:, :2], axis=0)
+    return out

@@ -1,0 +1,251 @@
+"""Hand networks: their files, the regions they are given, decoding, tracking and depth."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cell.frames import Pinhole
+from cell.perception.hands.depth import locate_palm
+from cell.perception.hands.fetch import fetch, main
+from cell.perception.hands.landmarks import Hand, roi_from
+from cell.perception.hands.models import MODELS, PALM, HandModelError, cache_dir, read_model
+from cell.perception.hands.palm import ANCHORS, Palm, PalmDetector, decode, letterbox, suppress
+from cell.perception.hands.roi import Roi, cut, rotation, upright_angle
+from cell.perception.hands.tracker import HandTracker
+
+try:
+    for _model in MODELS:
+        read_model(_model)
+    _missing = ""
+except HandModelError as error:
+    _missing = str(error)
+needs_models = pytest.mark.skipif(bool(_missing), reason=_missing or "hand networks are there")
+
+angles = st.floats(-3.1, 3.1)
+
+
+# -- files ---------------------------------------------------------------------------------------
+
+
+def test_missing_file_names_the_command(tmp_path: Path) -> None:
+    with pytest.raises(HandModelError, match=r"palm_detection_full.*missing.*hands\.fetch.*gestures"):
+        PalmDetector(tmp_path)
+
+
+def test_altered_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / PALM.name).write_bytes(bytes(PALM.size))
+    with pytest.raises(HandModelError, match="SHA-256"):
+        read_model(PALM, tmp_path)
+    (tmp_path / PALM.name).write_bytes(b"short")
+    with pytest.raises(HandModelError, match=f"{PALM.size} bytes, got 5"):
+        read_model(PALM, tmp_path)
+    (tmp_path / PALM.name).write_bytes(bytes(PALM.size + 100))
+    with pytest.raises(HandModelError, match="got more"):
+        read_model(PALM, tmp_path)
+
+
+def test_cache_follows_xdg(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache_dir() == tmp_path / "sorting-cell" / "hands"
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative/is/ignored")
+    assert cache_dir() == Path.home() / ".cache" / "sorting-cell" / "hands"
+
+
+@pytest.mark.parametrize("content", [b"", b"no zip at all", b"PK\x05\x06" + bytes(18)])
+def test_a_broken_wheel_is_refused(
+    tmp_path: Path, content: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wheel = tmp_path / "m.whl"
+    wheel.write_bytes(content)
+    assert main(["--wheel", str(wheel), "--into", str(tmp_path / "out")]) == 2
+    assert "mediapipe==0.10.21" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_wheel_with_other_content_is_refused(tmp_path: Path) -> None:
+    wheel = tmp_path / "m.whl"
+    with zipfile.ZipFile(wheel, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(PALM.member, bytes(300_000_000))  # a bomb: 0.3 GB from 0.3 MB
+        archive.writestr("../../escape", b"x")
+    with pytest.raises(HandModelError, match="got more"):
+        fetch(tmp_path / "out", wheel)
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["m.whl"]
+
+
+@needs_models
+def test_what_is_there_is_not_fetched_again(tmp_path: Path) -> None:
+    for model in MODELS:
+        (tmp_path / model.name).write_bytes(read_model(model))
+    assert fetch(tmp_path, tmp_path / "no-such-wheel") == tmp_path
+
+
+# -- regions -------------------------------------------------------------------------------------
+
+
+def test_letterbox_is_centred_without_half_pixel_shift() -> None:
+    box = letterbox(640, 480)
+    # tensor = (image - (W - S) / 2) * 192 / S, S = 640: image (0, 0) lies at (0, 24)
+    assert np.allclose(box.to_image(np.array([[0.0, 24.0], [192.0, 168.0]]), 192), [[0, 0], [640, 480]])
+
+
+def test_cut_samples_where_it_says() -> None:
+    v, u = np.mgrid[0:120, 0:160].astype(np.float32)
+    rgb = np.stack([u, v, u + v], axis=-1).astype(np.uint8)[..., :3]
+    roi = Roi(70.0, 60.0, 48.0, 0.6)
+    out = cut(rgb, roi, 96, replicate=True)
+    j, i = np.mgrid[0:96:7, 0:96:5]
+    expected = roi.to_image(np.stack([i, j], axis=-1).astype(float), 96)
+    assert np.abs(out[j, i, 0] - expected[..., 0]).max() <= 1.0
+    assert np.abs(out[j, i, 1] - expected[..., 1]).max() <= 1.0
+
+
+def test_borders() -> None:
+    rgb = np.full((20, 20, 3), 200, np.uint8)
+    roi = Roi(0.0, 0.0, 40.0)
+    assert cut(rgb, roi, 40, replicate=False)[5, 5].tolist() == [0, 0, 0]
+    assert cut(rgb, roi, 40, replicate=True)[5, 5].tolist() == [200, 200, 200]
+
+
+def test_iou() -> None:
+    a = Roi(0, 0, 2)
+    assert a.iou(a) == pytest.approx(1.0)
+    assert a.iou(Roi(1, 0, 2)) == pytest.approx(1 / 3)
+    assert a.iou(Roi(2.5, 0, 2)) == 0.0
+    assert a.iou(Roi(0, 0, 1)) == pytest.approx(0.25)
+
+
+@given(angles)
+def test_upright_angle_turns_image_up_into_the_direction(angle: float) -> None:
+    direction = rotation(angle) @ [0.0, -1.0]
+    assert upright_angle(np.zeros(2), direction) == pytest.approx(angle, abs=1e-9)
+
+
+# -- palm detector -------------------------------------------------------------------------------
+
+
+def test_anchors() -> None:
+    assert ANCHORS.shape == (2016, 2)
+    assert np.allclose(ANCHORS[:4] * 24, [[0.5, 0.5], [0.5, 0.5], [1.5, 0.5], [1.5, 0.5]])
+    assert np.allclose(ANCHORS[48] * 24, [0.5, 1.5])
+    assert np.allclose(ANCHORS[1152:1158] * 12, 0.5)
+    assert np.allclose(ANCHORS[-1] * 12, 11.5)
+
+
+def test_decode_reads_offsets_from_the_anchor() -> None:
+    raw, logits = np.zeros((2016, 18), np.float32), np.full((2016, 1), -200, np.float32)
+    raw[100] = [6, -3, 20, 30, *range(14)]
+    logits[100] = 2.0
+    (palm,) = decode(raw, logits, 0.3)
+    x, y = ANCHORS[100] * 192
+    assert palm.score == pytest.approx(1 / (1 + np.exp(-2)))
+    assert np.allclose(palm.box, [x + 6 - 10, y - 3 - 15, x + 6 + 10, y - 3 + 15])
+    assert np.allclose(palm.keypoints[2], [x + 4, y + 5])
+
+
+def test_suppression_averages_by_score() -> None:
+    def at(x: float, score: float) -> Palm:
+        return Palm(np.array([x, 0, x + 10, 10]), np.full((7, 2), x), score)
+
+    out = suppress((at(0, 0.9), at(1, 0.3), at(50, 0.5)))
+    assert [p.score for p in out] == [0.9, 0.5]
+    assert out[0].box[0] == pytest.approx(0.25)
+    assert out[0].keypoints[0, 0] == pytest.approx(0.25)
+
+
+def test_palm_roi_reaches_towards_the_fingers() -> None:
+    keypoints = np.zeros((7, 2))
+    keypoints[0], keypoints[2] = (50, 60), (50, 40)  # fingers up
+    roi = Palm(np.array([40.0, 40, 60, 70]), keypoints, 1.0).roi()
+    assert (roi.u, roi.v, roi.side, roi.angle) == pytest.approx((50, 55 - 15, 78, 0))
+    keypoints[2] = (70, 60)  # fingers to the right
+    roi = Palm(np.array([40.0, 40, 60, 70]), keypoints, 1.0).roi()
+    assert (roi.u, roi.v, roi.angle) == pytest.approx((50 + 15, 55, np.pi / 2))
+
+
+# -- landmarks -----------------------------------------------------------------------------------
+
+
+def make_landmarks() -> np.ndarray:
+    """An open right hand seen from its back, fingers up, (21, 2) [px]."""
+    points = [(0.0, 0.0), (-20, -15), (-35, -35), (-45, -50), (-52, -65)]
+    for x, y in ((-20, -60), (-2, -64), (14, -60), (28, -52)):
+        points += [(x, y), (x, y - 25), (x, y - 40), (x, y - 52)]
+    return np.array(points)
+
+
+@given(angles, st.floats(0.3, 3.0), st.floats(-50, 500), st.floats(-50, 500))
+def test_tracking_roi_moves_with_the_hand(angle: float, scale: float, u: float, v: float) -> None:
+    base = make_landmarks()
+    first = roi_from(base)
+    straight = np.delete(base, [4, 7, 8, 11, 12, 15, 16, 19, 20], axis=0) @ rotation(first.angle)
+    assert first.side == pytest.approx(2.0 * np.ptp(straight, axis=0).max())
+    moved = roi_from(base @ rotation(angle).T * scale + (u, v))
+    centre = rotation(angle) @ (first.u, first.v) * scale + (u, v)
+    assert (moved.u, moved.v) == pytest.approx(tuple(centre), abs=1e-6)
+    assert moved.side == pytest.approx(first.side * scale)
+    assert np.cos(moved.angle - first.angle - angle) == pytest.approx(1.0)
+
+
+# -- depth ---------------------------------------------------------------------------------------
+
+
+def make_hand(z: float, pinhole: Pinhole, size: float = 1.0) -> Hand:
+    """A flat hand of `size` times the assumed size at distance z [m], facing the camera."""
+    plane = make_landmarks() * 1e-3 * 1.4
+    world = np.column_stack([plane - plane.mean(axis=0), np.zeros(21)])
+    pixels = plane * size * pinhole.fx / z + (320, 260)
+    return Hand(pixels, world, 1.0, 0.5, 1.0, Roi(320, 240, 200))
+
+
+PINHOLE = Pinhole.from_hfov(640, 480, 1.2)
+
+
+@given(st.floats(0.4, 1.4), st.floats(0.75, 1.3), st.integers(0, 1000))
+def test_palm_point_from_depth(z: float, size: float, seed: int) -> None:
+    hand = make_hand(z + 0.012, PINHOLE, size)
+    rng = np.random.default_rng(seed)
+    depth = np.full((480, 640), 2.5, np.float32)
+    hull = cv2.convexHull(np.rint(hand.landmarks).astype(np.int32))
+    cv2.fillConvexPoly(depth, hull, z)
+    depth += rng.normal(0, 0.004, depth.shape).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.3] = 0.0
+    palm = locate_palm(hand, depth, PINHOLE)
+    assert palm is not None and palm.plausible
+    assert palm.p_CP[2] == pytest.approx(z + 0.012, abs=0.006)
+    assert np.allclose(PINHOLE.project(palm.p_CP), hand.landmarks[[0, 1, 5, 9, 13, 17]].mean(axis=0))
+    assert palm.scale == pytest.approx(size, rel=0.03)
+
+
+@pytest.mark.parametrize("size", [0.4, 2.2])
+def test_wrong_size_is_not_a_hand(size: float) -> None:
+    """A face is about twice as large as a hand; a doll's hand is too small."""
+    palm = locate_palm(make_hand(0.8, PINHOLE, size), np.full((480, 640), 0.788, np.float32), PINHOLE)
+    assert palm is not None and not palm.plausible
+
+
+def test_no_depth_no_point() -> None:
+    hand = make_hand(0.8, PINHOLE)
+    assert locate_palm(hand, np.zeros((480, 640), np.float32), PINHOLE) is None
+    far = replace(hand, landmarks=hand.landmarks + 5000)
+    assert locate_palm(far, np.ones((480, 640), np.float32), PINHOLE) is None
+    broken = replace(hand, landmarks=hand.landmarks * np.nan)
+    assert locate_palm(broken, np.ones((480, 640), np.float32), PINHOLE) is None
+
+
+# -- the networks --------------------------------------------------------------------------------
+
+
+@needs_models
+def test_nothing_is_found_in_noise() -> None:
+    rgb = np.random.default_rng(0).integers(0, 255, (480, 640, 3), np.uint8)
+    tracker = HandTracker()
+    assert tracker.update(rgb, [Roi(320, 240, 240), Roi(0, 0, 200)]) == ()
+    assert tracker.update(rgb, []) == ()
