@@ -300,7 +300,7 @@ def test_frames_arrive_after_the_latency_and_show_the_onion(backend: SimBackend)
     assert (frame.camera, frame.seq, frame.t) == ("belt", 1, asked)
     assert frame.rgb.shape == (480, 640, 3) and frame.depth.shape == (480, 640)
     with pytest.raises(BackendError, match="legal values: belt"):
-        backend.request_frame("person")
+        backend.request_frame("ceiling")
 
 
 def with_renderer(name: str) -> CellConfig:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cell.config import CameraConfig, load
 from cell.frames import Array, Pinhole, inverse, look_at, pose, rot_x, rot_y, rot_z
-from hil.sim.camera import sense
+from hil.sim.camera import sense, sense_depth
 from hil.sim.person.body import Body, body_names
 from hil.sim.person.hands import shape
 from hil.sim.person.reach import Poser, hand_frame
@@ -32,14 +32,17 @@ _WOBBLE, _WOBBLE_TURN = 0.012, np.deg2rad(5.0)
 """Standard deviations of a held hand's place [m] and turn [rad]."""
 _FLOOR, _BELT = -0.95, -0.15
 _PERSON, _OTHER = 1, 2
-_LEAST_SEEN = 0.7
-"""Share of the hand's landmarks that nothing else hides, in the first image."""
-_HIDDEN = 0.06
-"""A landmark this far behind what the camera sees is hidden [m]; landmarks lie inside the hand."""
-
-_TILT = np.deg2rad(40.0)
-"""A thumb farther from the vertical is no sign; another pose is drawn."""
-_ATTEMPTS = 12
+_LEAST_SEEN = 0.8
+"""Share of the hand's landmarks, and of its thumb's, that nothing else may hide in the first image;
+half of the landmarks must have depth, without which nobody would look for a hand there."""
+_HIDDEN, _HIDDEN_THUMB = 0.09, 0.04
+"""A landmark this far behind what the camera sees is hidden by something else than the hand [m]."""
+_POSES, _VIEWS = 10, 6
+"""How often another pose is drawn, and for each pose another viewpoint."""
+_TILT, _EXTREME = np.deg2rad(30.0), 0.03
+"""A sign has its thumb this near to the vertical, and the tip this far beyond the rest of the hand [m];
+another pose is drawn otherwise."""
+_ATTEMPTS = 60
 
 
 @dataclass(frozen=True)
@@ -114,7 +117,7 @@ class _Take:
         self._plan = plan
         self._rng = rng = np.random.default_rng([0x6E57, plan.seed])
         self._poser = _poser(body_names()[rng.integers(len(body_names()))])
-        self._motion = _Motion(plan, self._poser, rng)
+        self._motion: _Motion
         self._scene = Scene()
         self._config, self._pinhole = camera()
         mesh = self._poser.body.mesh
@@ -140,7 +143,7 @@ class _Take:
 
     def images(self) -> Iterator[View]:
         renderer = GlRenderer(_client()[0], self._scene, self._light)
-        X_WC = self._viewpoint(renderer)
+        X_WC = self._stage(renderer)
         rng = np.random.default_rng([0x5E45E, self._plan.seed])
         for i in range(self._plan.frames):
             marks = self._set(i)
@@ -162,32 +165,48 @@ class _Take:
             self._scene.set_vertices(self._onion, ball.vertices + at, ball.normals)
         return self._poser.landmarks(posed, self._plan.side)
 
-    def _viewpoint(self, renderer: GlRenderer) -> Array:
-        """A camera 0.5-1.2 m from the hand, to the person's left, 0-40 degrees up, that sees the hand."""
-        rng = self._rng
-        marks = self._set(0)
-        target = marks.mean(axis=0)
+    def _stage(self, renderer: GlRenderer) -> Array:
+        """A pose, and a camera both of whose imagers see the hand: X_WC (4, 4).
+
+        The camera is 0.5-1.2 m from the hand, to the person's left, 0-40 degrees up. Where the
+        body hides the hand, another camera is drawn, then another pose.
+        """
         best, best_seen = np.eye(4), -1.0
-        for _ in range(12):
-            distance = rng.uniform(0.5, 1.2)
-            elevation, azimuth = np.deg2rad(rng.uniform(0, 40)), np.deg2rad(rng.uniform(-35, 35))
-            away = [
-                np.sin(azimuth) * np.cos(elevation),
-                -np.cos(azimuth) * np.cos(elevation),
-                np.sin(elevation),
-            ]
-            X_WC = look_at(target + distance * np.array(away), target + rng.normal(0, 0.05, 3))
-            p_C = (marks - X_WC[:3, 3]) @ X_WC[:3, :3]
-            uv = np.rint(self._pinhole.project(p_C)).astype(int)
-            inside = ((uv >= 0) & (uv < (self._pinhole.width, self._pinhole.height))).all(axis=1)
-            depth = renderer.render(X_WC, self._pinhole, 0.05, 8.0).depth
-            uv = np.clip(uv, 0, (self._pinhole.width - 1, self._pinhole.height - 1))
-            seen = float((inside & (depth[uv[:, 1], uv[:, 0]] > p_C[:, 2] - _HIDDEN)).mean())
+        for attempt in range(_POSES * _VIEWS):
+            if best_seen >= _LEAST_SEEN:
+                break
+            if attempt % _VIEWS == 0:
+                self._motion, best_seen = _Motion(self._plan, self._poser, self._rng), -1.0
+                marks = self._set(0)
+            X_WC = self._viewpoint(marks.mean(axis=0))
+            seen = self._seen(renderer, X_WC, marks)
             if seen > best_seen:
                 best, best_seen = X_WC, seen
-            if seen >= _LEAST_SEEN:
-                break
         return best
+
+    def _viewpoint(self, target: Array) -> Array:
+        rng = self._rng
+        distance = rng.uniform(0.5, 1.2)
+        elevation, azimuth = np.deg2rad(rng.uniform(0, 40)), np.deg2rad(rng.uniform(-35, 35))
+        flat = np.array([np.sin(azimuth), -np.cos(azimuth)]) * np.cos(elevation)
+        away = distance * np.array([*flat, np.sin(elevation)])
+        return look_at(target + away, target + rng.normal(0, 0.05, 3))
+
+    def _seen(self, renderer: GlRenderer, X_WC: Array, marks: Array) -> float:
+        """Least of three: share of the landmarks and of the thumb's that the camera sees, and
+        share of the landmarks with depth, plus 0.3."""
+        p_C = (marks - X_WC[:3, 3]) @ X_WC[:3, :3]
+        uv = np.rint(self._pinhole.project(p_C)).astype(int)
+        limits = self._pinhole.width - 1, self._pinhole.height - 1
+        inside = ((uv >= 0) & (uv <= limits)).all(axis=1)
+        u, v = np.clip(uv, 0, limits).T
+        image = renderer.render(X_WC, self._pinhole, 0.05, 8.0)
+        measured = sense_depth(image.depth, self._config, np.random.default_rng(0))[v, u] > 0.0
+        depth = image.depth[v, u]
+        seen = inside & (depth > p_C[:, 2] - _HIDDEN)
+        thumb = inside & (depth > p_C[:, 2] - _HIDDEN_THUMB)
+        thumb_seen = thumb[2:5].mean() if self._plan.kind in SIGNS else 1.0
+        return float(min(seen.mean(), thumb_seen, measured.mean() + 0.3))
 
     def _furnish(self, anchor: int) -> None:
         """Belt, floor, wall of any colour, onions on the belt and, for a grip, one in the hand."""
@@ -231,8 +250,9 @@ class _Motion:
             0.0, 0.0, np.pi, hanging["L"], hanging["R"], lean, twist, float(rng.uniform(0.1, 0.4))
         )
         for _ in range(_ATTEMPTS):
-            z = _BELT - _FLOOR + rng.uniform(0.14, 0.40)
-            p = np.array([rng.uniform(0.34, 0.46), out * rng.uniform(0.08, 0.30), z])
+            # The thumb points down well only with the elbow out and the hand no lower than the belly.
+            z = _BELT - _FLOOR + (rng.uniform(0.24, 0.50) if plan.kind == "down" else rng.uniform(0.14, 0.45))
+            p = np.array([rng.uniform(0.34, 0.50), out * rng.uniform(0.08, 0.36), z])
             step = (
                 rng.uniform([0.08, -0.1, -0.05], [0.16, 0.1, 0.05]) if plan.kind == "reach" else np.zeros(3)
             )
@@ -240,15 +260,18 @@ class _Motion:
             self._R = _orientation(plan.kind, out, rng)
             self._stance = poser.best_swivel(stance.with_arm(plan.side, self._arm(0)), plan.side)
             self._swivel = self._stance.arm(plan.side).swivel
-            if not sign or self._tilt(poser) <= _TILT:
+            if plan.kind == "down":
+                self._swivel = float(np.deg2rad(rng.uniform(70, 130)))
+            if not sign or self._is_sign(poser):
                 break
 
-    def _tilt(self, poser: Poser) -> float:
-        """Angle between the thumb of a sign and the vertical [rad]."""
+    def _is_sign(self, poser: Poser) -> bool:
         marks = poser.landmarks(poser.pose(self.stance(0)), self._plan.side)
-        thumb = marks[4] - marks[2]
         up = 1.0 if self._plan.kind == "up" else -1.0
-        return float(np.arccos(np.clip(up * thumb[2] / np.linalg.norm(thumb), -1.0, 1.0)))
+        thumb = marks[4] - marks[2]
+        rest = np.delete(up * marks[:, 2], [2, 3, 4]).max()
+        upright = up * thumb[2] >= np.cos(_TILT) * np.linalg.norm(thumb)
+        return bool(upright and up * marks[4, 2] - rest >= _EXTREME)
 
     def stance(self, i: int) -> Stance:
         arm = replace(self._arm(i), swivel=self._swivel)

@@ -21,6 +21,8 @@ from cell.wire.vocabulary import Action
 
 _REMEMBERED = 1.0
 """Joint states are kept this long to look up those of an exposure [s]."""
+_EVENTS = 1.0
+"""An action that lasts is observed again after so long [s]: the domain's mean time between events."""
 _NEAR = 400
 """So many of the person's points, the nearest to the arm, are looked at for the way ahead."""
 _BACKING = 0.005
@@ -49,6 +51,7 @@ class Companion:
         self._past: deque[_Then] = deque()
         self._view: PersonView | None = None
         self._fed: Action | None = None
+        self._fed_at = 0.0
         self._fresh = False
         self.news: list[str] = []
         self.hands: list[Hands] = []
@@ -68,7 +71,8 @@ class Companion:
                 continue
             then = min(self._past, key=lambda s: abs(s.t - frame.t))
             before = Gesture.NONE if self._view is None else self._view.sign
-            self._view = self._eye.look(frame, self._arm(then), onions)
+            arm = self._arm(then)
+            self._view = self._eye.look(frame, arm, onions, self._actions.full)
             self._fresh = True
             self.hands.append(self._view.hands)
             self._observe()
@@ -76,17 +80,22 @@ class Companion:
                 self.news.append(f"the person shows thumbs {self._view.sign.value}")
 
     def _observe(self) -> None:
-        """Feed the belief when the person's action has changed."""
+        """Feed the belief when the person's action has changed, and as often as events come in the domain."""
         assert self._view is not None
         reading = self._actions.update(self._view)
-        if reading.confidence > 0.0 and reading.action is not self._fed:
-            self._fed = reading.action
-            self._belief.observe(reading.action)
+        if reading.confidence <= 0.0:
+            return
+        if reading.action is not self._fed or reading.t - self._fed_at >= _EVENTS:
+            self._feed(reading.action, reading.t)
 
-    def robot_decided(self) -> None:
-        """An action of the robot ended: in the domain that is an event at which people are observed."""
+    def robot_decided(self, t: float) -> None:
+        """An action of the robot ended at t [s]: in the domain people are observed at such events."""
         if self._fed is not None:
-            self._belief.observe(self._fed)
+            self._feed(self._fed, t)
+
+    def _feed(self, action: Action, t: float) -> None:
+        self._fed, self._fed_at = action, t
+        self._belief.observe(action)
 
     # -- what is known ---------------------------------------------------------------------------------
 

@@ -206,7 +206,7 @@ class Supervisor:
         self._reason = f"{ended.code}: {ended.reason}" if ended.reason else ended.code
         self._task.apply(self._action, ended)
         if self._person is not None:
-            self._person.robot_decided()
+            self._person.robot_decided(self._body.now)
         self._yields += ended.code in _YIELDS
         level = _INFO if ended.done else _WARN
         self._say(level, f"{self._action.name.lower()}: {self._reason}")

@@ -18,8 +18,10 @@ _TIP = 0.08
 _LEAST_POINTS = 6
 _SIDE = 0.75
 """Half the width of the place in which the person works [m]."""
-_TRUNK = 0.16
-"""Points nearer than this to the trunk's axis are the trunk's [m]."""
+_TRUNK, _SHOULDERS = 0.18, 0.55
+"""Points nearer than this to the trunk's axis are the trunk's, those higher than this the head's [m]."""
+_BESIDE, _OVER = 0.02, 0.30
+"""What is so little beside the person's bin and so low over it is a hand at the bin [m]."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class Region:
 
 
 def hand_regions(p_WP: Array, config: CellConfig) -> tuple[Region, ...]:
-    """The ends of arms in the person's points (M, 3) [m]: towards the robot, then towards the camera.
+    """The ends of arms in the person's points (M, 3) [m]: towards the robot, the camera, and at the bin.
 
     Only of a person near the working place; nothing else makes a sign or handles onions.
     """
@@ -42,20 +44,27 @@ def hand_regions(p_WP: Array, config: CellConfig) -> tuple[Region, ...]:
     if len(p) < _LEAST_POINTS:
         return ()
     trunk = _trunk(p_WP, station)
-    arms = p[np.linalg.norm(p[:, :2] - trunk, axis=1) > _TRUNK]
+    arms = p[(np.linalg.norm(p[:, :2] - trunk, axis=1) > _TRUNK) & (p[:, 2] < _SHOULDERS)]
     if len(arms) < _LEAST_POINTS:
         return ()
     camera = np.array(config.cameras["person"].position)
     found: list[Region] = []
     for measure in (arms[:, 0], np.linalg.norm(arms - camera, axis=1)):
-        foremost = arms[np.argsort(measure, kind="stable")[:_LEAST_POINTS]].mean(axis=0)
-        tip = arms[np.linalg.norm(arms - foremost, axis=1) < _TIP]
-        if len(tip) < _LEAST_POINTS:
-            continue
-        region = Region(tip.mean(axis=0), len(tip))
-        if all(np.linalg.norm(region.p_W - other.p_W) > _TIP for other in found):
-            found.append(region)
+        foremost = arms[np.argsort(measure, kind="stable")[_LEAST_POINTS // 2]]
+        _add(found, arms[np.linalg.norm(arms - foremost, axis=1) < _TIP])
+    b = config.person.bin
+    over = (np.abs(p[:, :2] - b.center[:2]) < np.array(b.size[:2]) / 2 + _BESIDE).all(axis=1)
+    _add(found, p[over & (p[:, 2] < b.center[2] + _OVER)])
     return tuple(found)
+
+
+def _add(found: list[Region], tip: Array) -> None:
+    """Add the region of these points if they are enough, and none of those there are."""
+    if len(tip) < _LEAST_POINTS:
+        return
+    region = Region(tip.mean(axis=0), len(tip))
+    if all(np.linalg.norm(region.p_W - other.p_W) > _TIP for other in found):
+        found.append(region)
 
 
 def _trunk(p_WP: Array, station: Array) -> Array:

@@ -1,8 +1,9 @@
-"""What the person does, from where the working hand is: one of the domain's nine actions.
+"""What the person does, from where the working hand is and goes: one of the domain's nine actions.
 
-The place of the hand says most: low over the belt it picks or puts down, over the bin it drops,
-raised before the body with an onion it inspects, empty it looks. Whether it holds something follows
-from what it did before, as for somebody who watches. Only a recognised sign is a thumb.
+The place of the hand says most: low over the belt it picks or puts down, at the bin it drops,
+raised before the body with an onion it inspects, empty it looks. Where it is on its way, the
+direction decides. Whether it holds something follows from what it did before, as for somebody who
+watches. Only a recognised sign is a thumb.
 """
 
 from __future__ import annotations
@@ -18,18 +19,31 @@ from cell.perception.hands.gesture import Gesture
 from cell.perception.person import PersonView
 from cell.wire.vocabulary import Action
 
-_LOW = 0.15
+_LOW = 0.13
 """A hand lower than this over the belt works on it [m]."""
-_BIN_MARGIN, _BIN_HEIGHT = 0.06, 0.30
+_BIN_MARGIN, _BIN_HEIGHT = 0.04, 0.25
 """A hand so near to the bin's opening and so low over it drops something [m]."""
-_AWAY = 0.40
+_AWAY = 0.28
 """A trunk this far behind the working place is away [m]."""
-_DWELL = 0.15
-"""A hand that was low for less than this has not picked anything [s]."""
-_STILL = 0.22
-"""Slower than this the hand rests before the eyes [m/s]."""
-_RAISED = 0.02
-"""A hand higher than this over the hips may be before the eyes [m]."""
+_MOVING = 0.15
+"""Faster than this the hand is on its way [m/s]."""
+_STILL, _LET_GO = 0.08, 2
+"""A hand slower than this [m/s] in so many frames has let go of what it put down."""
+_OVER_BELT, _EDGE, _SETS_OUT = 0.085, 0.03, 0.10
+"""An empty hand this far over the belt [m] reaches for something, and so does one nearer to the edge
+that moves inwards this fast [m/s]."""
+_HIPS = 0.0
+"""A hand lower than this beside the belt hangs [m]."""
+_HANGING_FOR = 0.6
+"""Hands that hang for so long hold nothing [s]."""
+_LEAVES = 0.08
+"""A hand that is so far from where it held an onion before the eyes takes it away [m]."""
+_PLACING = 2.5
+"""Putting an onion down takes at most so long [s]."""
+_SAME_HAND = 0.30
+"""A working hand this far from where it was a frame ago is the other one [m]."""
+_IDLE_AFTER = 1.3
+"""An empty hand that has done nothing for so long belongs to somebody who does nothing [s]."""
 _SURE, _LIKELY, _GUESS = 0.95, 0.8, 0.6
 
 
@@ -44,86 +58,148 @@ class ActionReading:
 
 
 class HumanActions:
-    """The person's action over time; one instance per round."""
+    """The person's action over time; one instance per round.
+
+    Attributes:
+        busy: the person holds an onion, as far as one can tell. placed: onions seen sorted.
+    """
 
     def __init__(self, config: CellConfig) -> None:
         self._config = config
-        self._carrying = False
-        self._low_since: float | None = None
-        self._last_hand: tuple[float, Array] | None = None
-        self.reading = ActionReading(0.0, Action.NO_OP, 0.0, 0.0)
+        self.busy = False
         self.placed = 0
+        self.reading = ActionReading(0.0, Action.NO_OP, 0.0, 0.0)
+        self._was_low = self._left = False
+        self._rests = 0
+        self._t = 0.0
+        self._hanging_since: float | None = None
+        self._last: tuple[float, Array] | None = None
+        self._eyes = self._carrier = np.zeros(3)
 
     @property
-    def busy(self) -> bool:
-        """The person holds an onion, as far as one can tell."""
-        return self._carrying
+    def full(self) -> Array | None:
+        """Where the hand was last seen that holds an onion (3,) [m]; None when there is none."""
+        return self._carrier if self.busy else None
 
     def update(self, view: PersonView) -> ActionReading:
         """Take in a frame's view."""
+        self._t = view.t
         action, confidence = self._judge(view)
         began = self.reading.began if action is self.reading.action else view.t
         self.reading = ActionReading(view.t, action, confidence, began)
         return self.reading
 
     def _judge(self, view: PersonView) -> tuple[Action, float]:
-        if view.sign is not Gesture.NONE:
-            return (Action.SPEED_UP if view.sign is Gesture.UP else Action.SLOW_DOWN), _SURE
         if view.problem:
             return Action.NO_OP, 0.0
+        if view.sign is not Gesture.NONE:
+            self.busy = self._was_low = False
+            return (Action.SPEED_UP if view.sign is Gesture.UP else Action.SLOW_DOWN), _SURE
         if self._away(view):
-            self._carrying, self._low_since, self._last_hand = False, None, None
+            self.busy, self._was_low, self._last = False, False, None
             return Action.NO_OP, _SURE
         hand = self._working_hand(view)
-        if hand is None:
-            self._leave_low(view.t)
-            return (self.reading.action, _GUESS) if self._carrying else (Action.DETECT, _LIKELY)
-        speed = self._speed(view.t, hand.p_W)
-        return self._by_place(view.t, hand.p_W, speed)
+        if hand is None or self._hangs(hand.p_W):
+            return self._resting(view.t)
+        self._hanging_since = None
+        self._carrier = hand.p_W
+        velocity = self._velocity(view.t, hand.p_W)
+        return self._by_place(hand.p_W, velocity)
 
-    def _by_place(self, t: float, p: Array, speed: float) -> tuple[Action, float]:
+    def _by_place(self, p: Array, v: Array) -> tuple[Action, float]:
         belt, strip = self._config.belt, self._config.person.sorted_x
-        if self._over_bin(p):
-            self._low_since = None
-            if self._carrying or self.reading.action is Action.PLACE_IN_BIN:
-                self._done()
-                return Action.PLACE_IN_BIN, _SURE
-            return Action.DETECT, _GUESS
+        speed = float(np.linalg.norm(v))
+        self._rests = self._rests + 1 if speed < _STILL else 0
+        if self._at_bin(p):
+            if self.busy and self._rests >= _LET_GO:
+                self._put_down()
+            return (Action.PLACE_IN_BIN, _SURE) if self.busy else self._empty()
         if p[0] < belt.x[1] + 0.02 and p[2] < belt.top_z + _LOW:
-            if self._carrying and p[0] > strip[0] - 0.05:
-                self._low_since = t if self._low_since is None else self._low_since
-                return Action.PLACE_ON_CONVEYOR, _LIKELY
+            return self._low(p, v, strip[0])
+        if self._was_low:  # the hand has come up again
+            self._was_low = False
             if self.reading.action is Action.PLACE_ON_CONVEYOR:
-                return Action.PLACE_ON_CONVEYOR, _LIKELY
-            self._low_since = t if self._low_since is None else self._low_since
-            return Action.PICK, _LIKELY
-        self._leave_low(t)
-        if self._carrying:
-            if speed < _STILL and p[0] > belt.x[1] - 0.10 and p[2] > _RAISED:
-                return Action.INSPECT, _LIKELY
-            return (
-                self.reading.action if self.reading.action is not Action.DETECT else Action.INSPECT
-            ), _GUESS
-        return Action.DETECT, _LIKELY
+                self._put_down()
+            elif self.reading.action is Action.PICK:
+                self.busy = True
+        return self._raised(p, v, speed)
 
-    def _leave_low(self, t: float) -> None:
-        """The hand is not low over the belt any more: it has picked, or put down."""
-        if self._low_since is not None and t - self._low_since >= _DWELL:
-            if self.reading.action is Action.PLACE_ON_CONVEYOR:
-                self._done()
-            else:
-                self._carrying = True
-        self._low_since = None
+    def _low(self, p: Array, v: Array, strip: float) -> tuple[Action, float]:
+        """The hand is at the belt: it takes or puts down."""
+        self._was_low = True
+        before = self.reading.action
+        if before is Action.PLACE_ON_CONVEYOR or (self.busy and p[0] > strip - 0.07):
+            if self.busy and self._rests >= _LET_GO:
+                self._put_down()
+                self._left = True
+            return (Action.PLACE_ON_CONVEYOR, _LIKELY) if self.busy else self._empty()
+        if self._left:  # on its way up from what it put down
+            return self._empty()
+        return Action.PICK, _LIKELY
 
-    def _done(self) -> None:
-        if self._carrying:
+    def _raised(self, p: Array, v: Array, speed: float) -> tuple[Action, float]:
+        """The hand is in the air before the body."""
+        before, edge = self.reading.action, self._config.belt.x[1]
+        if not self.busy:
+            over = p[0] < edge - _OVER_BELT
+            self._left = self._left and over
+            reaching = over or (p[0] < edge - _EDGE and v[0] < -_SETS_OUT)
+            return (Action.PICK, _GUESS) if reaching and not self._left else self._empty()
+        if before in (Action.PLACE_IN_BIN, Action.PLACE_ON_CONVEYOR):
+            if self._t - self.reading.began < _PLACING:
+                return before, _GUESS
+            self._put_down()  # it must have happened unseen
+            return self._empty()
+        if before is Action.INSPECT:
+            return self._inspecting(p, v)
+        if before is Action.PICK and speed > _MOVING:
+            return Action.PICK, _GUESS
+        self._eyes = p
+        return Action.INSPECT, _LIKELY
+
+    def _inspecting(self, p: Array, v: Array) -> tuple[Action, float]:
+        """An onion is looked at until the hand leaves the place before the eyes."""
+        gone = p - self._eyes
+        to_bin = np.array(self._config.person.bin.center[:2]) - self._eyes[:2]
+        along = float(gone[:2] @ to_bin) / max(float(np.linalg.norm(to_bin)), 1e-6)
+        if along > _LEAVES and float(v[:2] @ to_bin) > 0.0:
+            return Action.PLACE_IN_BIN, _GUESS
+        if gone[2] < -_LEAVES / 2 and v[2] < -_MOVING:
+            return Action.PLACE_ON_CONVEYOR, _GUESS
+        self._eyes = self._eyes + 0.3 * gone
+        return Action.INSPECT, _LIKELY
+
+    def _resting(self, t: float) -> tuple[Action, float]:
+        """The hands hang, or are not to be seen."""
+        self._hanging_since = t if self._hanging_since is None else self._hanging_since
+        self._last = None
+        if t - self._hanging_since > _HANGING_FOR:
+            if self._was_low and self.reading.action is Action.PLACE_ON_CONVEYOR:
+                self._put_down()
+            self.busy = self._was_low = False
+        if self.busy:
+            return self.reading.action, _GUESS
+        return self._empty()
+
+    def _empty(self) -> tuple[Action, float]:
+        """An empty hand that reaches for nothing: its owner looks, or does nothing at all."""
+        if self.reading.action is Action.NO_OP:
+            return Action.NO_OP, _GUESS
+        idle = self.reading.action is Action.DETECT and self._t - self.reading.began > _IDLE_AFTER
+        return (Action.NO_OP, _GUESS) if idle else (Action.DETECT, _LIKELY)
+
+    def _put_down(self) -> None:
+        if self.busy:
             self.placed += 1
-        self._carrying = False
+        self.busy = self._was_low = False
 
-    def _over_bin(self, p: Array) -> bool:
+    def _at_bin(self, p: Array) -> bool:
         b = self._config.person.bin
         inside = np.all(np.abs(p[:2] - b.center[:2]) < np.array(b.size[:2]) / 2 + _BIN_MARGIN)
         return bool(inside and p[2] < b.center[2] + _BIN_HEIGHT)
+
+    def _hangs(self, p: Array) -> bool:
+        return bool(p[0] > self._config.belt.x[1] + 0.12 and p[2] < _HIPS + 0.1 and not self._at_bin(p))
 
     def _away(self, view: PersonView) -> bool:
         p = view.cloud.p_WP
@@ -132,11 +208,24 @@ class HumanActions:
         return bool(np.median(p[:, 0]) > self._config.person.station[0] + _AWAY)
 
     def _working_hand(self, view: PersonView) -> Region | None:
-        """The end of the arm that reaches farthest towards the robot, or into the bin."""
-        return min(view.regions, key=lambda r: float(r.p_W[0])) if view.regions else None
+        """The end of the arm that reaches farthest towards the robot, or a hand at the bin."""
+        if not view.regions:
+            return None
+        if self.busy:  # that which holds the onion, whatever the other one does
+            nearest = min(view.regions, key=lambda r: float(np.linalg.norm(r.p_W - self._carrier)))
+            if np.linalg.norm(nearest.p_W - self._carrier) < _SAME_HAND:
+                return nearest
+        foremost = min(view.regions, key=lambda r: float(r.p_W[0]))
+        if foremost.p_W[0] > self._config.belt.x[1] - _OVER_BELT / 2:
+            for region in view.regions:
+                if self._at_bin(region.p_W):
+                    return region
+        return foremost
 
-    def _speed(self, t: float, p: Array) -> float:
-        last, self._last_hand = self._last_hand, (t, p)
-        if last is None or not 0.0 < t - last[0] < 0.5:
-            return 0.0
-        return float(np.linalg.norm(p - last[1]) / (t - last[0]))
+    def _velocity(self, t: float, p: Array) -> Array:
+        """Of the working hand [m/s] (3,); zero when it was not seen just before."""
+        last, self._last = self._last, (t, p)
+        if last is None or not 0.0 < t - last[0] < 0.35 or np.linalg.norm(p - last[1]) > _SAME_HAND:
+            return np.zeros(3)
+        out: Array = (p - last[1]) / (t - last[0])
+        return out

@@ -17,6 +17,8 @@ _BELT_MARGIN = 0.05
 """Onions this far outside the pick window are still taken into account [m]."""
 _HEIGHTS = (-0.01, 0.09)
 """Heights of onion centres above the belt that are plausible [m]."""
+_BEHIND, _BACKGROUND = 0.06, (58, 66, 66)
+"""What is so much farther away than a held onion's middle [m] gets this colour."""
 _CROP = 192
 """Side of the square looked at round a held onion [px]."""
 
@@ -74,7 +76,9 @@ class Eye:
         height, width = frame.rgb.shape[:2]
         x0 = int(np.clip(u - _CROP / 2, 0, width - _CROP))
         y0 = int(np.clip(v - _CROP / 2, 0, height - _CROP))
-        crop = np.ascontiguousarray(frame.rgb[y0 : y0 + _CROP, x0 : x0 + _CROP])
+        crop = frame.rgb[y0 : y0 + _CROP, x0 : x0 + _CROP].copy()
+        # What lies behind is painted over: a blemish there is none of the held onion's.
+        crop[frame.depth[y0 : y0 + _CROP, x0 : x0 + _CROP] > p_C[2] + _BEHIND] = _BACKGROUND
         best: tuple[float, Box, float] | None = None
         for box, p_blemished in self._detector.detect(crop):
             if box.score < self._config.supervisor.score_threshold:

@@ -23,6 +23,10 @@ from cell.wire.types import Frame, Hands, SeenHand
 
 _STILL = 0.45
 """A hand that moves faster than this makes no sign [m/s]."""
+_PATIENT = 6
+"""After so many frames without a hand the networks look at every other one only."""
+_OTHER_HAND = 0.22
+"""A region this far from a hand that holds something is the other hand [m]."""
 _SAME_HAND = 0.15
 """A region this far from the last frame's may be the same hand [m]."""
 
@@ -69,13 +73,21 @@ class PersonEye:
         self._finder = finder or HandTracker(Path(g.models) if g.models else None)
         self._vote = GestureVote(VoteConfig(votes=g.votes, window=g.window))
         self._last: tuple[float, tuple[Region, ...]] = (-1.0, ())
+        self._idle = 0
 
-    def look(self, frame: Frame, arm: Array, onions: Array) -> PersonView:
-        """Take in a frame; see `Separation.look` for the arguments."""
+    def look(self, frame: Frame, arm: Array, onions: Array, full: Array | None = None) -> PersonView:
+        """Take in a frame.
+
+        Args:
+            frame, arm, onions: see `Separation.look`.
+            full: where the hand is that holds an onion (3,) [m]: a thumb on an onion is no sign.
+        """
         cloud = self._separation.look(frame, arm, onions)
         problem = self._problem(cloud)
         regions = () if problem else hand_regions(cloud.p_WP, self._config)
         raised = self._may_sign(frame.t, regions)
+        if full is not None:
+            raised = [r for r in raised if np.linalg.norm(r.p_W - full) > _OTHER_HAND]
         hands, glimpse = self._signs(frame, raised)
         sign = self._vote.push(frame.t, glimpse, allowed=bool(raised))
         self._last = (frame.t, regions)
@@ -103,9 +115,16 @@ class PersonEye:
         """The hands in the raised regions, and the one sign they show, if it is only one."""
         if not raised:
             self._finder.reset()
+            self._idle = 0
+        # Where no hand was found lately, every other frame will do.
+        if not raised or (self._idle >= _PATIENT and self._idle % 2):
+            self._idle += bool(raised)
             return Hands(frame.t, frame.camera, ()), Gesture.NONE
         scene = self._separation.scene
+        self._idle += 1
         found = self._finder.update(frame.rgb, [self._roi(r) for r in raised])
+        if found:
+            self._idle = 0
         hands, signs = [], set()
         for hand in found:
             palm = locate_palm(hand, frame.depth, scene.pinhole)

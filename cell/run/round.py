@@ -39,6 +39,8 @@ HOLDER = "supervisor"
 _SETTLE_CYCLES = 25
 Watcher = Callable[[Inputs, Outputs], None]
 """Called after every tick; must be quick and must not raise."""
+Judge = Callable[[Inputs, Outputs, Truth], None]
+"""Called after every tick with the simulation's truth at that moment; for measuring only."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,11 @@ class RoundOptions:
 
 
 def run_round(
-    config: CellConfig, policy: PolicyTable, options: RoundOptions, watch: Watcher | None = None
+    config: CellConfig,
+    policy: PolicyTable,
+    options: RoundOptions,
+    watch: Watcher | None = None,
+    judge_tick: Judge | None = None,
 ) -> RoundResult:
     """Start a node, sort one batch, judge it, and end everything that was started.
 
@@ -99,7 +105,20 @@ def run_round(
         link: Link = (StepLink if options.lock_step else LiveLink)(session, config, HOLDER)
         stack.callback(link.close)
         with _interruptible():
+            if judge_tick is not None:
+                watch = _with_truth(session, judge_tick, watch)
             return _drive(supervisor, link, session, meter, options, policy, watch)
+
+
+def _with_truth(session: Session, judge_tick: Judge, watch: Watcher | None) -> Watcher:
+    """A watcher that also asks for the truth."""
+
+    def both(inputs: Inputs, outputs: Outputs) -> None:
+        if watch is not None:
+            watch(inputs, outputs)
+        judge_tick(inputs, outputs, session.call(session.keys.sim_truth, TruthRequest(HOLDER), Truth))
+
+    return both
 
 
 def _companion(config: CellConfig, options: RoundOptions, planner: Planner) -> Companion | None:

@@ -63,7 +63,7 @@ class SimBackend:
             choice = best_renderer()
         if choice == "tiny" and self._persona:
             raise BackendError(
-                "the simulated person needs the gl renderer (renderer: gl), because PyBullet's own cannot draw "
+                "the simulated person needs the gl renderer (renderer: gl): PyBullet's own cannot draw "
                 "a body that moves; where EGL does not work, use --person none"
             )
         self._world = World(

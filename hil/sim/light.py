@@ -40,9 +40,9 @@ class ModeLight:
         X_WL = pose(p=(x, y, z + _ABOVE))
         self.signal = "off"
         self._scene = scene
-        self._handle = scene.add(
-            Visual(anchor, -1, inverse(X_WA) @ X_WL, cylinder_mesh(_RADIUS, _LENGTH), COLORS["off"], None, LABEL)
-        )
+        mesh = cylinder_mesh(_RADIUS, _LENGTH)
+        X_AL = inverse(X_WA) @ X_WL
+        self._handle = scene.add(Visual(anchor, -1, X_AL, mesh, COLORS["off"], None, LABEL))
 
     def show(self, signal: str) -> None:
         """Show one of `SIGNALS`; raises `BackendError` listing them."""

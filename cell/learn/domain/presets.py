@@ -131,7 +131,9 @@ def _check_observation(rules: Preset) -> None:
 PRESETS = {
     "released": Preset("released", published=True, recovery=5, p_visible=1.0, price=0.0, start="random"),
     "paper": Preset("paper"),
-    "cell": Preset("cell", seconds=180.0, horizon=400, recovery=25),
+    "cell": Preset(
+        "cell", seconds=180.0, horizon=400, recovery=25, missed_gestures=0.05, misread_actions=0.08
+    ),
 }
 """Named tasks."""
 

@@ -144,7 +144,7 @@ class SemiMarkovDomain:
         self.time = self.time + dt
         self._left = self._left - dt
         ended = (self._left <= _EPS) & ~over
-        placed, wrong = self._finish(ended, dt)
+        placed, wrong = self._finish(ended, dt, over)
         truth = (placed.sum(axis=0) - 2 * wrong.sum(axis=0)).astype(np.float32)
         robots = np.isin(np.arange(self.n_agents), self.preset.robots)[:, None]
         own = LOCALS.own_type[self._local]
@@ -164,7 +164,7 @@ class SemiMarkovDomain:
         )
 
     def _finish(
-        self, ended: NDArray[np.bool_], dt: NDArray[np.float64]
+        self, ended: NDArray[np.bool_], dt: NDArray[np.float64], over: NDArray[np.bool_]
     ) -> tuple[NDArray[np.int8], NDArray[np.int8]]:
         """Effects of the actions that ended; onions placed and placed wrongly, (N, E)."""
         placed, wrong = (np.zeros(ended.shape, dtype=np.int8) for _ in range(2))
@@ -188,7 +188,7 @@ class SemiMarkovDomain:
             wrong[i] = ended[i] & self._tables[i].wrong[local, done, kind]
             self._local[i] = np.where(ended[i], following, local)
             one = Action.SLOW_DOWN if human else Action.SPEED_UP
-            thumb = ended[i] & (done >= Action.SPEED_UP)
+            thumb = (done >= Action.SPEED_UP) & ~over  # held up until it is seen: seen is told
             self._told[i] = np.where(thumb, done == one, self._told[i])
             if human:
                 self._since[i] += placed[i]

@@ -1,4 +1,4 @@
-"""Where a hand is in space, and whether its size fits a hand: depth against landmarks.
+"""What depth adds to the networks: where a hand is, whether it has a hand's size, and nothing else in view.
 
 The networks know no scale. Depth does: a face, a poster or a fold of cloth that looks like a
 hand has the wrong size at its distance, or no single distance at all.
@@ -8,12 +8,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from cell.frames import Array, Pinhole
 from cell.perception.hands.landmarks import Hand
 
+SLAB = 0.35
+"""What is nearer or farther than a hand by more than this belongs to something else [m]. The forearm
+must stay whole: a stump of it can look like a thumb."""
+_GREY = 128
+_RIM = np.ones((7, 7), np.uint8)
+"""So far from a reading on the hand a pixel without a reading may still be the hand's."""
 _PALM = [0, 1, 5, 9, 13, 17]
 _KNUCKLES = [5, 9, 13, 17]
 _INTO_HAND = 0.012
@@ -21,8 +28,9 @@ _INTO_HAND = 0.012
 _SAME_SURFACE = 0.05
 """Readings farther than this from the nearest cluster belong to what is behind the hand [m]."""
 _LEAST_READINGS = 12
-_SCALE = (0.55, 1.7)
-"""Real over assumed size: hands measure 0.8 to 1.2 of the networks' mean hand; the rest is their error."""
+_SPAN = (0.045, 0.15)
+"""Largest distance between wrist and knuckles as the camera sees it [m]. From wrist to middle knuckle
+hands measure 0.07 to 0.11 m; seen from the end, knuckles are still 0.06 to 0.09 m wide. Faces are wider."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,19 +39,18 @@ class PalmPoint:
 
     Attributes:
         p_CP: its middle in the camera frame (3,) [m].
-        scale: the hand's real size over the size the landmark network assumes.
-        width: index to little knuckle [m]. readings: depth pixels behind it.
+        span: largest distance between wrist and knuckles, across the line of sight [m].
+        readings: depth pixels behind it.
     """
 
     p_CP: Array
-    scale: float
-    width: float
+    span: float
     readings: int
 
     @property
     def plausible(self) -> bool:
         """Whether the size is a hand's."""
-        return _SCALE[0] <= self.scale <= _SCALE[1]
+        return _SPAN[0] <= self.span <= _SPAN[1]
 
 
 def locate_palm(hand: Hand, depth: NDArray[np.float32], pinhole: Pinhole) -> PalmPoint | None:
@@ -66,10 +73,46 @@ def locate_palm(hand: Hand, depth: NDArray[np.float32], pinhole: Pinhole) -> Pal
     if len(on_hand) < _LEAST_READINGS:
         return None
     distance = float(np.median(on_hand)) + _INTO_HAND
-    centre = hand.landmarks[_PALM].mean(axis=0)
-    scale = distance / (pinhole.fx * _metres_per_pixel(hand))
-    width = scale * float(np.linalg.norm(hand.world[5] - hand.world[17]))
-    return PalmPoint(pinhole.back_project(centre, distance), scale, width, len(on_hand))
+    p_CL = pinhole.back_project(hand.landmarks[_PALM], np.full(len(_PALM), distance))
+    span = float(np.linalg.norm(p_CL[:, None] - p_CL[None], axis=2).max())
+    return PalmPoint(p_CL.mean(axis=0), span, len(on_hand))
+
+
+def isolate(
+    rgb: NDArray[np.uint8], depth: NDArray[np.float32], distances: list[float], slab: float = SLAB
+) -> NDArray[np.uint8]:
+    """The image with everything grey that is not at the distance of one of the hands.
+
+    The networks then cannot take another hand for the one that is meant, nor see a thumb in the
+    background. A pixel without a reading stays if the nearest readings on both sides of it in its
+    row stay, or if it touches one that does: an arm seen at a grazing angle has holes, whereas
+    what the second imager cannot see past an arm belongs to the background on its left.
+
+    Args:
+        rgb: shape (H, W, 3) uint8. depth: shape (H, W) [m], aligned, 0 where there is no reading.
+        distances: of the hands along the optical axis [m].
+        slab: how much nearer or farther something may be [m].
+    """
+    near = np.zeros(depth.shape, np.uint8)
+    for distance in distances:
+        near |= np.abs(depth - np.float32(distance)) <= np.float32(slab)
+    hole = depth <= 0.0
+    rim = cv2.dilate(near, _RIM)
+    keep = (
+        (near > 0)
+        | (hole & (rim > 0))
+        | (_beside(near, hole) & _beside(near[:, ::-1], hole[:, ::-1])[:, ::-1])
+    )
+    out = rgb.copy()
+    out[~keep] = _GREY
+    return out
+
+
+def _beside(near: NDArray[np.uint8], hole: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Where the last reading to the left (or the pixel's own) is `near`; false where there is none."""
+    column = np.where(hole, 0, np.arange(hole.shape[1], dtype=np.int32))
+    last = np.maximum.accumulate(column, axis=1)
+    return np.asarray(np.take_along_axis(near, last, axis=1) > 0)
 
 
 def _palm_depths(landmarks: Array, depth: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -82,15 +125,9 @@ def _palm_depths(landmarks: Array, depth: NDArray[np.float32]) -> NDArray[np.flo
     grid = (landmarks[0] + along * (row - landmarks[0])).reshape(-1, 2)
     if not np.isfinite(grid).all():
         return np.zeros(0, np.float32)
-    u, v = np.rint(grid).astype(int).T
     height, width = depth.shape
+    grid = np.clip(grid, -1.0, (width, height))
+    u, v = np.rint(grid).astype(int).T
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     z = depth[v[inside], u[inside]]
     return np.asarray(z[np.isfinite(z) & (z > 0.0)], np.float32)
-
-
-def _metres_per_pixel(hand: Hand) -> float:
-    """Of the world landmarks, fitted to the image landmarks: free of how the hand is turned."""
-    world = hand.world[:, :2] - hand.world[:, :2].mean(axis=0)
-    image = hand.landmarks - hand.landmarks.mean(axis=0)
-    return max(float((world * image).sum()), 1e-9) / max(float((image * image).sum()), 1e-9)

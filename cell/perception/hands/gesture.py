@@ -1,8 +1,9 @@
 """Thumbs up and thumbs down from the landmarks of one hand.
 
-A sign is a closed hand whose thumb is straight, away from the fingers, points up or down in the
-image, and is the hand's extreme in that direction. Whatever is not clearly one of the two is
-none of them: a sign is never guessed. The camera must be upright (image up = world up).
+A sign is a closed hand whose thumb stands away from the fingers, points up or down, and is the
+hand's extreme in that direction, with the row of knuckles standing upright too. How well each of
+these holds adds up to one score (logistic regression). Whatever is not clearly one of the two
+signs is none of them: a sign is never guessed.
 """
 
 from __future__ import annotations
@@ -20,6 +21,11 @@ _THUMB = [2, 3, 4]
 _REST = [i for i in range(21) if i not in _THUMB]
 _NEIGHBOURS = [5, 6, 10]
 """Landmarks on which the thumb rests in a fist: index MCP and PIP, middle PIP."""
+_FAR = 1.2
+_MARGINS = (-0.5, 0.6)
+"""Beyond these values a feature says no more."""
+LEVEL: Array = np.array([0.0, -1.0, 0.0])
+"""World up in the frame of a level camera."""
 
 
 class Gesture(Enum):
@@ -32,42 +38,50 @@ class Gesture(Enum):
 
 @dataclass(frozen=True)
 class GestureRule:
-    """Thresholds of `classify`.
+    """Weights and limits of `classify`, fitted by `tools/fit_gestures`.
+
+    The score is 1 / (1 + exp(-x)), x = bias + sum of weight times feature; see `Features`.
 
     Attributes:
-        curl: largest mean ratio of the distances wrist-fingertip and wrist-knuckle.
-        thumb_away: least distance of the thumb's tip from index and middle finger, in lengths
-            from the wrist to the middle knuckle.
-        thumb_bend: largest angle between the thumb's last two bones [rad].
-        tilt: largest angle between the thumb and image up (or down) [rad].
-        margin_up, margin_down: by how much the thumb's tip must be above (below) all of the
-            rest of the hand, in palm sizes.
+        bias, curl, thumb_away, tilt, knuckles, margin: the weights.
+        threshold: least score of a sign.
+        most_tilt: the thumb is never farther from the vertical in the image [rad].
+        least_margin: the thumb's tip is never less beyond the rest of the hand [palm sizes].
     """
 
-    curl: float = 1.4
-    thumb_away: float = 0.4
-    thumb_bend: float = np.deg2rad(60.0)
-    tilt: float = np.deg2rad(50.0)
-    margin_up: float = 0.1
-    margin_down: float = 0.1
+    bias: float = 4.93
+    curl: float = -3.47
+    thumb_away: float = 2.52
+    tilt: float = -2.42
+    knuckles: float = -3.17
+    margin: float = 2.52
+    threshold: float = 0.6
+    most_tilt: float = np.deg2rad(65.0)
+    least_margin: float = 0.0
 
 
 @dataclass(frozen=True)
 class Features:
-    """What `classify` looks at; see `GestureRule`.
+    """What `classify` looks at, for the sign that the thumb's direction suggests.
 
     Attributes:
-        curl, thumb_away, thumb_bend: of the world landmarks.
-        direction: of the thumb against image up, 0 = up, pi = down [rad].
-        margin_up, margin_down: of the thumb's tip, in palm sizes; negative inside the hand.
+        up: whether the thumb points up in the image, rather than down.
+        curl: mean ratio of the distances wrist-fingertip and wrist-knuckle; small for a fist.
+        thumb_away: least distance of the thumb's tip from index and middle finger, in lengths
+            from the wrist to the middle knuckle; at most 1.2.
+        tilt: of the thumb in the image, from the vertical [rad].
+        knuckles: angle in space between the row of knuckles, little to index finger, and the
+            sign's direction [rad]; large for a hand that lies flat.
+        margin: by how much the thumb's tip is beyond all of the rest of the hand, in palm sizes;
+            between -0.5 and 0.6.
     """
 
+    up: bool
     curl: float
     thumb_away: float
-    thumb_bend: float
-    direction: float
-    margin_up: float
-    margin_down: float
+    tilt: float
+    knuckles: float
+    margin: float
 
 
 @dataclass(frozen=True)
@@ -76,7 +90,7 @@ class Reading:
 
     Attributes:
         gesture: the sign, or NONE. features: behind it.
-        score: by how much the tightest threshold is kept, 0..1; 0 for NONE.
+        score: that the hand shows the sign that `features.up` names, 0..1.
     """
 
     gesture: Gesture
@@ -84,48 +98,45 @@ class Reading:
     score: float
 
 
-def measure(landmarks: Array, world: Array) -> Features:
-    """Features of landmarks (21, 2) [px] and world landmarks (21, 3) [m]."""
+def measure(landmarks: Array, world: Array, up_C: Array) -> Features:
+    """Features of landmarks (21, 2) [px] and world landmarks (21, 3) [m]; `up_C` as in `classify`."""
     wrist = world[0]
     tips = np.linalg.norm(world[_TIPS] - wrist, axis=1)
-    knuckles = np.linalg.norm(world[_KNUCKLES] - wrist, axis=1)
-    away = np.linalg.norm(world[_NEIGHBOURS] - world[4], axis=1).min()
+    knuckles = np.maximum(np.linalg.norm(world[_KNUCKLES] - wrist, axis=1), 1e-6)
+    away = np.linalg.norm(world[_NEIGHBOURS] - world[4], axis=1).min() / knuckles[1]
     thumb = landmarks[4] - landmarks[2]
+    up = bool(thumb[1] < 0.0)
+    sign = 1.0 if up else -1.0
     length = np.linalg.norm(landmarks[9] - landmarks[0]) + np.linalg.norm(landmarks[5] - landmarks[17])
-    palm = max(float(length), 1e-6)
-    rest = landmarks[_REST, 1]
+    height = -sign * landmarks[:, 1]
+    margin = (height[4] - height[_REST].max()) / max(float(length), 1e-6)
     return Features(
-        curl=float((tips / np.maximum(knuckles, 1e-6)).mean()),
-        thumb_away=float(away / max(float(knuckles[1]), 1e-6)),
-        thumb_bend=_angle(world[3] - world[2], world[4] - world[3]),
-        direction=_angle(thumb, np.array([0.0, -1.0])),
-        margin_up=float(rest.min() - landmarks[4, 1]) / palm,
-        margin_down=float(landmarks[4, 1] - rest.max()) / palm,
+        up=up,
+        curl=float((tips / knuckles).mean()),
+        thumb_away=float(np.minimum(away, _FAR)),
+        tilt=_angle(thumb, np.array([0.0, -sign])),
+        knuckles=_angle(world[5] - world[17], sign * up_C),
+        margin=float(np.clip(margin, *_MARGINS)),
     )
 
 
-def classify(hand: Hand, rule: GestureRule | None = None) -> Reading:
+def classify(hand: Hand, rule: GestureRule | None = None, up_C: Array | None = None) -> Reading:
     """The sign that `hand` shows in this one image.
 
     Args:
         hand: with landmarks in an upright image.
-        rule: thresholds; those fitted to the networks if None.
+        rule: weights; those fitted to the networks if None.
+        up_C: direction of world up in the camera frame (3,); that of a level camera if None.
     """
     rule = rule or GestureRule()
-    f = measure(hand.landmarks, hand.world)
-    up = f.direction < np.pi / 2
-    direction = f.direction if up else np.pi - f.direction
-    margin, least = (f.margin_up, rule.margin_up) if up else (f.margin_down, rule.margin_down)
-    slack = min(
-        (rule.curl - f.curl) / rule.curl,
-        (f.thumb_away - rule.thumb_away) / rule.thumb_away,
-        (rule.thumb_bend - f.thumb_bend) / rule.thumb_bend,
-        (rule.tilt - direction) / rule.tilt,
-        (margin - least) / 0.3,
-    )
-    if not slack > 0.0:  # also when a landmark is not finite
-        return Reading(Gesture.NONE, f, 0.0)
-    return Reading(Gesture.UP if up else Gesture.DOWN, f, min(1.0, slack))
+    f = measure(hand.landmarks, hand.world, LEVEL if up_C is None else up_C)
+    x = rule.bias + rule.curl * f.curl + rule.thumb_away * f.thumb_away + rule.tilt * f.tilt
+    x += rule.knuckles * f.knuckles + rule.margin * f.margin
+    score = float(1.0 / (1.0 + np.exp(-np.clip(x, -50.0, 50.0))))
+    # Written so that a landmark that is not finite makes no sign.
+    shown = score >= rule.threshold and f.tilt <= rule.most_tilt and f.margin >= rule.least_margin
+    gesture = (Gesture.UP if f.up else Gesture.DOWN) if shown else Gesture.NONE
+    return Reading(gesture, f, score)
 
 
 def _angle(a: Array, b: Array) -> float:

@@ -22,6 +22,9 @@ from cell.perception.hands.roi import Roi
 _TURNS = np.deg2rad([0.0, 30.0, -30.0, 60.0, -60.0, 15.0, -15.0, 90.0, -90.0])
 _SCALES = (1.0, 0.85, 1.1, 0.95, 0.8, 1.05)
 """How the squares of successive searches differ."""
+_GUESSES = np.deg2rad([-90.0, 90.0, -45.0, 45.0, -135.0, 135.0, 0.0, 180.0])
+_HAND = 0.55
+"""Side of the square that a hand fills, as a share of a candidate's."""
 _PALMS = 2
 """Palms of one search that the landmark network is asked about."""
 _SURE = 0.9
@@ -36,6 +39,8 @@ class TrackerConfig:
     Attributes:
         palm: least score of a palm. presence: least presence of a hand, new or tracked.
         overlap: IoU above which two regions are the same hand. hands: most hands at once.
+        middle: a hand belongs to a candidate if its palm lies in this middle part of the square's
+            side: the rest is there to show the hand whole, and may show another one.
         look_again: a tracked hand is also searched for anew in every so many-th image; 0 never.
         threads: CPU threads of one inference.
     """
@@ -44,8 +49,9 @@ class TrackerConfig:
     presence: float = 0.5
     overlap: float = 0.5
     hands: int = 2
+    middle: float = 0.6
     look_again: int = 2
-    threads: int = 1
+    threads: int = 2
 
 
 class HandTracker:
@@ -77,7 +83,8 @@ class HandTracker:
         Args:
             rgb: shape (H, W, 3) uint8.
             candidates: squares that may show a hand, the most important first; centre and side
-                from depth (0.40 to 0.45 m across). Hands inside none of them give way to new ones.
+                from depth (0.40 to 0.45 m across). Hands that belong to none of them give way to
+                new ones.
 
         Returns:
             At most `TrackerConfig.hands` hands, first those in candidates, in their order.
@@ -87,7 +94,7 @@ class HandTracker:
         tracked = self._distinct(self._landmarks.find(rgb, h.next_roi(), h.score) for h in self._held)
         hands: list[Hand] = []
         for candidate in candidates:
-            held = [h for h in tracked if _inside(h, candidate) and h not in hands]
+            held = [h for h in tracked if self._belongs(h, candidate) and h not in hands]
             if len(hands) >= self._config.hands:
                 break
             new = self._search(rgb, candidate, hands) if again or not held else None
@@ -112,13 +119,26 @@ class HandTracker:
                 hand = max(
                     hand, self._landmarks.find(rgb, hand.next_roi(), palm.score), key=lambda h: h.presence
                 )
-            if not self._is_new(hand, others):
+            if not (self._belongs(hand, candidate) and self._is_new(hand, others)):
                 continue
             if best is None or hand.presence > best.presence:
                 best = hand
             if best.presence > _SURE:
-                break
+                return best
+        if best is None or best.presence < self._config.presence:
+            guess = self._guess(rgb, candidate)
+            if self._belongs(guess, candidate) and self._is_new(guess, others):
+                return guess
         return best
+
+    def _guess(self, rgb: NDArray[np.uint8], candidate: Roi) -> Hand:
+        """Without a palm: a hand of usual size in the middle, its fingers in a direction that varies."""
+        turn = candidate.angle + float(_GUESSES[self._images % len(_GUESSES)])
+        square = Roi(candidate.u, candidate.v, candidate.side * _HAND, turn)
+        hand = self._landmarks.find(rgb, square, self._config.palm)
+        if hand.presence > _HOPELESS:
+            hand = self._landmarks.find(rgb, hand.next_roi(), self._config.palm)
+        return hand
 
     def _distinct(self, hands: Iterable[Hand]) -> list[Hand]:
         out: list[Hand] = []
@@ -134,8 +154,7 @@ class HandTracker:
         roi = hand.next_roi()
         return all(roi.iou(other.next_roi()) <= self._config.overlap for other in others)
 
-
-def _inside(hand: Hand, candidate: Roi) -> bool:
-    """Whether the middle of the palm lies in the candidate."""
-    u, v = hand.landmarks[[0, 5, 9, 13, 17]].mean(axis=0)
-    return candidate.contains(float(u), float(v))
+    def _belongs(self, hand: Hand, candidate: Roi) -> bool:
+        u, v = hand.landmarks[[0, 5, 9, 13, 17]].mean(axis=0)
+        middle = Roi(candidate.u, candidate.v, candidate.side * self._config.middle)
+        return middle.contains(float(u), float(v))

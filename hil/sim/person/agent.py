@@ -10,7 +10,6 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -20,10 +19,12 @@ from cell.wire.types import ShownGesture
 from cell.wire.vocabulary import Action
 from hil.sim.person.figure import Figure
 from hil.sim.person.hands import shape
-from hil.sim.person.keyposes import SIDES, UPRIGHT, WORKING, KeyPoses, with_fingers
+from hil.sim.person.keyposes import SIDES, UPRIGHT, WORKING, KeyPoses
 from hil.sim.person.persona import MAX_SIGNALS, Persona
 from hil.sim.person.places import drop_place, free_place
 from hil.sim.person.reach import Poser
+from hil.sim.person.surroundings import Surroundings
+from hil.sim.person.watch import SignWatch
 
 THUMBS_UP, THUMBS_DOWN = Action.SPEED_UP, Action.SLOW_DOWN
 """The human's actions 7 and 8 have the numbers of the robot's mode changes."""
@@ -33,46 +34,10 @@ _YIELD = 0.085
 """... and lets go of one that the tool comes this near to [m]."""
 _MOVED = 0.03
 """An onion that moved this far while the hand came is taken anew [m]."""
-_ANSWERS = {"up": ("collaborative",), "down": ("requested", "industrial")}
-"""What the mode light shows when a sign was understood."""
 _UPRIGHT = 0.2
 """With less lean than this a person shows a sign [rad]."""
 _IDLE = 1.5
 """After this long without anything to do the hands go down [s]."""
-
-
-class Surroundings(Protocol):
-    """What a person can see of the cell."""
-
-    signal: str
-
-    def count(self) -> int:
-        """Number of onions of the batch."""
-        ...
-
-    def place(self, onion: int) -> Array:
-        """Centre of an onion in the world (3,) [m]."""
-        ...
-
-    def radius(self, onion: int) -> float:
-        """[m]."""
-        ...
-
-    def free(self, onion: int) -> bool:
-        """It lies on the belt, and the robot neither holds it nor has dealt with it."""
-        ...
-
-    def shows_blemish(self, onion: int, p_WE: Array) -> bool:
-        """A blemish is on the side that eyes at `p_WE` see."""
-        ...
-
-    def blemished(self, onion: int) -> bool:
-        """A blemish is anywhere."""
-        ...
-
-    def tool(self) -> Array:
-        """The robot's tool centre point (3,) [m]."""
-        ...
 
 
 class Agent:
@@ -117,8 +82,9 @@ class Agent:
             if onion is None:
                 yield from self._idle()
                 continue
+            done = len(self.sorted_)
             yield from self._sort(onion)
-            if self._tires():
+            if len(self.sorted_) > done and self._tires():
                 yield from self._recover()
 
     def _sort(self, onion: int) -> Iterator[None]:
@@ -174,7 +140,8 @@ class Agent:
     def _pick(self, onion: int) -> Iterator[None]:
         figure, keys = self.figure, self._keys
         p_WO = self._around.place(onion)
-        end = figure.reach(self.side, keys.take(p_WO, "open"), self._now, rise=0.05, fall=0.12, window=(0.1, 0.6))
+        goal = keys.take(p_WO, "open")
+        end = figure.reach(self.side, goal, self._now, rise=0.05, fall=0.12, window=(0.1, 0.6))
         while self._now < end:
             if not self._mine(onion, p_WO):
                 self._withdraw()
@@ -218,12 +185,13 @@ class Agent:
         others = [around.place(i)[:2] for i in range(around.count()) if i != onion]
         xy = free_place(self._config, np.array(others).reshape(-1, 2), around.tool()[:2], self._rng)
         p_W = np.array([*xy, self._config.belt.top_z + around.radius(onion) + 0.003])
-        goal = with_fingers(self._keys.take(p_W, "grip"), "grip")
+        goal = self._keys.take(p_W, "grip")
         yield from self._until(self.figure.reach(self.side, goal, self._now, fall=0.12))
         yield from self._let_go(0.12)
 
     def _let_go(self, rise: float) -> Iterator[None]:
-        yield from self._until(self.figure.close(self.side, shape("open"), self._now, 0.15 * self.persona.pace))
+        end = self.figure.close(self.side, shape("open"), self._now, 0.15 * self.persona.pace)
+        yield from self._until(end)
         self.held = None
         yield from self._wait(0.08)
         self.figure.reach(self.side, self._keys.ready(), self._now, rise=rise, trunk=WORKING)
@@ -235,7 +203,7 @@ class Agent:
         while self._choose() is None:
             if not down and self._now - since > _IDLE:
                 down = True
-                self.figure.reach(self.side, self._keys.hanging[self.side], self._now, trunk=UPRIGHT, ease=True)
+                self._hands_down(self.side)
             for _ in range(12):  # a person looks about ten times a second
                 yield
 
@@ -267,20 +235,18 @@ class Agent:
             arm = self._keys.sign(way, slant if way == sign else 0.0, fingers)
             yield from self._until(figure.reach("L", arm, self._now, window=(0.2, 0.8), trunk=WORKING))
         figure.sway("L", self._now, self._rng, who.wobble, who.wobble_turn)
-        shown, since = self._now, None
+        watch = SignWatch(who, sign, self._now)
         self.action, self.gesture = THUMBS_UP if sign == "up" else THUMBS_DOWN, sign
-        self.gestures.append(ShownGesture(sign, shown, -1.0))
-        while self._now - shown < who.patience:
-            understood = self._around.signal in _ANSWERS[sign]
-            since = (self._now if since is None else since) if understood else None
-            if since is not None and self._now - max(since, shown) >= who.reaction and self._now - shown >= who.hold:
-                self.gestures[-1] = replace(self.gestures[-1], answered=max(since, shown) + who.reaction)
-                break
+        self.gestures.append(ShownGesture(sign, self._now, -1.0))
+        while not watch.over(self._now, self._around.signal):
             yield
+        self.gestures[-1] = replace(self.gestures[-1], answered=watch.answered)
         self.action, self.gesture = Action.NO_OP, ""
 
     def _hands_down(self, side: str) -> None:
-        self.figure.reach(side, self._keys.hanging[side], self._now, trunk=UPRIGHT, ease=True)
+        over_belt = self.figure.grip(side, self._now)[0] < self._config.belt.x[1] + 0.05
+        rise = 0.15 if over_belt else 0.0
+        self.figure.reach(side, self._keys.hanging[side], self._now, rise=rise, trunk=UPRIGHT, ease=True)
 
     # -- time --------------------------------------------------------------------------------------------
 

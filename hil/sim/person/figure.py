@@ -12,8 +12,10 @@ from hil.sim.person.stance import Arm, Stance
 
 _STEP = 0.9
 """Length of one step [m]."""
-_NECK = np.array([0.09, 0.0, 1.58])
-"""The eyes of a person of mean height who stands upright, in P [m]."""
+_BENDING = 0.62
+"""Mean speed at which a trunk bends [rad/s]."""
+_EYES = (0.09, 1.58)
+"""The eyes of a person of mean height who stands upright: ahead of the feet, above the floor [m]."""
 
 
 class Figure:
@@ -24,7 +26,9 @@ class Figure:
         pace: factor on durations. place: of the feet at the start (2,) [m].
     """
 
-    def __init__(self, keys: KeyPoses, config: CellConfig, hand_speed: float, pace: float, place: Array) -> None:
+    def __init__(
+        self, keys: KeyPoses, config: CellConfig, hand_speed: float, pace: float, place: Array
+    ) -> None:
         self._keys, self._speed, self._pace = keys, hand_speed, pace
         self._floor = config.floor_z
         self._paths: dict[str, Path] = {side: Still(keys.hanging[side]) for side in "LR"}
@@ -48,9 +52,8 @@ class Figure:
         if not ease:
             goal = self._keys.settled(goal, side, trunk)
         start = self.arm(side, now)
-        duration = self._pace * max(
-            reach_time(start, goal, self._speed, rise, fall), 1.6 * float(np.abs(trunk - self._trunk.at(now)).max())
-        )
+        bend = float(np.abs(trunk - self._trunk.at(now)).max())
+        duration = self._pace * max(reach_time(start, goal, self._speed, rise, fall), bend / _BENDING)
         self._bend(trunk, now, duration)
         return self._follow(side, Reach(start, goal, now, duration, rise=rise, fall=fall, window=window), now)
 
@@ -102,8 +105,10 @@ class Figure:
 
     def eyes(self, t: float) -> Array:
         """About where the person looks from, in the world (3,) [m]."""
-        (x, y), lean = self._feet.at(t), float(self._trunk.at(t)[0])
-        return np.array([x - _NECK[0] - 0.6 * np.sin(lean), y, self._floor + _NECK[2] - 0.6 * (1 - np.cos(lean))])
+        (x, y), lean = self._feet.at(t), self.lean(t)
+        ahead, up = _EYES
+        back = 0.6 * np.array([np.sin(lean), 1 - np.cos(lean)])  # the hips are 0.6 m below the eyes
+        return np.array([x - ahead - back[0], y, self._floor + up - back[1]])
 
     def lean(self, t: float) -> float:
         """Of the trunk [rad]."""

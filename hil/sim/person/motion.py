@@ -169,7 +169,9 @@ class Drift:
         start, goal: shape (K,). before: blends out, when the last drift was not over yet.
     """
 
-    def __init__(self, start: Array, goal: Array, t0: float, duration: float, before: Drift | None = None) -> None:
+    def __init__(
+        self, start: Array, goal: Array, t0: float, duration: float, before: Drift | None = None
+    ) -> None:
         self._start, self._step, self._t0 = start, goal - start, t0
         self._duration, self.end, self._before = max(duration, 1e-3), t0 + max(duration, 1e-3), before
 

@@ -24,11 +24,12 @@ if TYPE_CHECKING:
 LABEL = 7
 _CHECK = 4
 """Contact with the robot is looked for every so many control periods."""
-_HAND_RADIUS, _FOREARM_RADIUS = 0.030, 0.040
+_HAND_RADIUS, _FOREARM_RADIUS = 0.05, 0.08
+"""With room for how far the wrist bends [m]."""
 _REACH_BACK = 0.25
 """Nothing of a person is farther ahead than the foremost hand's grip point and this [m]."""
 _ROBOT_REACH = 0.12
-"""Nothing of the robot is farther ahead than its foremost link's origin and this [m]."""
+"""Nothing of the robot is farther ahead than its foremost link and this [m]."""
 
 
 class Presence:
@@ -58,10 +59,9 @@ class Presence:
         self._ticks = 0
         self._drawn = self._posed = -1.0
         self._pose: Pose
+        skin = paint(self.body, who.look)
         self._handle = world.scene.add(
-            Visual(
-                anchor, -1, inverse(X_WA), self.body.mesh, (1.0, 1.0, 1.0, 1.0), paint(self.body, who.look), LABEL
-            )
+            Visual(anchor, -1, inverse(X_WA), self.body.mesh, (1.0, 1.0, 1.0, 1.0), skin, LABEL)
         )
         self.refresh()
 
@@ -78,7 +78,7 @@ class Presence:
         if self._held is not None:
             self._carry(now)
         self._ticks += 1
-        if self._ticks % _CHECK == 0 and self._touched(now):
+        if self._ticks % _CHECK == 0 and self._near(now) and self.separation() <= 0.0:
             self.contacts += _CHECK
 
     def refresh(self) -> None:
@@ -124,15 +124,18 @@ class Presence:
             return ()
         return ((self.sight.place(onion), self._world.onions[onion].radius),)
 
-    def _touched(self, now: float) -> bool:
-        """Whether a hand or forearm, as capsules, meets the robot; the rest of the body is farther back."""
+    def _near(self, now: float) -> bool:
+        """Whether a hand or forearm, as generous capsules, may meet the robot: worth a closer look.
+
+        The rest of the body is farther back.
+        """
         figure, world = self.agent.figure, self._world
         foremost = min(figure.grip(side, now)[0] for side in "LR") - _REACH_BACK
-        if self.sight.tool()[0] + _ROBOT_REACH < foremost:
+        if self._robot.ahead() + _ROBOT_REACH < foremost:
             return False
         for side in "LR":
             p, R = figure.grip(side, now), figure.grip_turn(side, now)
-            wrist = p - R @ np.array([0.105, 0.0, 0.042])
+            wrist = p - R @ np.array([0.089, 0.0, 0.062])
             hand = wrist + np.linspace(0.0, 0.13, 5)[:, None] * R[:, 0]
             fore = wrist - np.linspace(0.0, 0.20, 5)[:, None] * R[:, 0]
             held = self._in_gripper() if world.gripper.holding else ()

@@ -17,10 +17,13 @@ from hil.sim.person.hands import finger_turns, pivot
 from hil.sim.person.stance import Arm, Stance
 
 _MAX_BEND = np.deg2rad(25.0)
+_ROUNDS = 6
+"""Times that an arm is solved; with 2 the grip point is up to 30 mm off when the wrist is at its limit."""
 _FULL = 0.995
 """An arm is not stretched further than this."""
-_GRIP = (0.012, 0.042)
-"""The grip point from the middle knuckle: along the fingers, out of the palm [m]."""
+_GRIP = (-0.004, 0.062)
+"""The grip point from the middle knuckle: along the fingers, out of the palm [m]. A ball of 70 mm there
+touches palm and fingers of the shape "grip" without cutting far into them."""
 _SWIVELS = np.deg2rad(np.arange(-20.0, 141.0, 10.0))
 _SPINE = {"spine05": 0.45, "spine04": 0.2, "spine03": 0.2, "spine02": 0.15}
 """How a bend of the trunk spreads over its bones."""
@@ -56,11 +59,14 @@ class Poser:
         """The bones of a stance."""
         turns = self._trunk(stance)
         G, p = self._forward(turns)
+        # Legs that close or swing move the soles; the arms are solved for where the body then is.
+        lift = np.array([0.0, 0.0, -float(self.body.points(G, p)[:, 2].min())])
         for side in "LR":
-            self._arm(stance.arm(side), side, G, p, turns)
+            arm = stance.arm(side)
+            self._arm(replace(arm, p=arm.p - lift), side, G, p, turns)
         G, p = self._forward(turns)
         R_WP = rot_z(stance.yaw)
-        return Pose(R_WP @ G, p @ R_WP.T + np.array([stance.x, stance.y, self.floor_z]))
+        return Pose(R_WP @ G, p @ R_WP.T + np.array([stance.x, stance.y, self.floor_z]) + lift)
 
     def grip(self, pose: Pose, side: str) -> Array:
         """The grip point of a hand in the world (3,) [m]."""
@@ -78,7 +84,7 @@ class Poser:
         """An arm that hangs at the side."""
         hand = self._hands[side]
         out = 1.0 if side == "L" else -1.0
-        p = self._rig.p[hand.shoulder] + np.array([0.06, 0.13 * out, -0.97 * (hand.upper + hand.fore) - 0.08])
+        p = self._rig.p[hand.shoulder] + np.array([0.06, 0.13 * out, -0.96 * (hand.upper + hand.fore) - 0.06])
         return Arm(p, hand_frame((0.15, 0.0, -1.0), (0.1, -out, 0.0)), np.deg2rad(-10.0))
 
     def best_swivel(self, stance: Stance, side: str) -> Stance:
@@ -157,7 +163,7 @@ class Poser:
         hand, rig = self._hands[side], self._rig
         shoulder, body = p[hand.shoulder], G[rig.parents[hand.shoulder]]
         G_hand = arm.R @ hand.R0.T
-        for _ in range(2):  # the wrist's limit turns the hand, which moves the wrist
+        for _ in range(_ROUNDS):  # the wrist's limit turns the hand, which moves the wrist
             wrist = arm.p - G_hand @ hand.grip0
             u, f, n = _elbow(shoulder, wrist, hand.upper, hand.fore, arm.swivel, side)
             G_fore = _frame(f, n) @ hand.F_fore.T

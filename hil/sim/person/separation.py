@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 import urdf
 from cell.errors import BackendError
 from cell.frames import Array
+from hil.sim.physics import bullet
 from hil.sim.render.bodies import LinkPoses
 from hil.sim.render.scene import link_indices, origin
 
@@ -59,13 +60,23 @@ class RobotShape:
 
     def __init__(self, client: int, body: int) -> None:
         self._body, self._links = body, LinkPoses(client)
-        self.solids = _solids(ET.fromstring(urdf.robot_description(with_meshes=False)), link_indices(body, client))
+        robot = ET.fromstring(urdf.robot_description(with_meshes=False))
+        self.solids = _solids(robot, link_indices(body, client))
+        self._client = client
+        self._moving = sorted({solid.link for solid in self.solids if solid.link >= 0})
         self._radii = np.array([np.linalg.norm(solid.half) for solid in self.solids])
 
     def poses(self) -> list[Array]:
         """X_WS of each solid, shape (4, 4)."""
         X_WL = self._links.read(dict.fromkeys((self._body, solid.link) for solid in self.solids))
         return [X_WL[self._body, solid.link] @ solid.X_LS for solid in self.solids]
+
+    def ahead(self) -> float:
+        """x [m] of the foremost link's origin."""
+        states = bullet.getLinkStates(
+            self._body, self._moving, computeForwardKinematics=1, physicsClientId=self._client
+        )
+        return max(float(state[4][0]) for state in states)
 
     def distance(self, p_W: Points, spheres: tuple[tuple[Array, float], ...] = ()) -> float:
         """Least distance [m] of points (N, 3) from the robot and from spheres (centre, radius) it holds.

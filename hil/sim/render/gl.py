@@ -11,6 +11,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.errors import RenderError
 from cell.frames import Array, Pinhole, inverse
@@ -56,6 +57,7 @@ class GlRenderer:
         self._programs = build_programs(self._ctx)
         self._backdrop = self._ctx.vertex_array(self._programs["backdrop"], [])
         self._batches: list[Batch] = []
+        self._seen: list[NDArray[np.bool_]] = []
         self._version = -1
         self._targets: dict[tuple[int, int], Any] = {}
         self._shadow_targets: dict[int, Any] = {}
@@ -64,7 +66,7 @@ class GlRenderer:
         if self._ctx is None:
             raise RenderError("the renderer is closed")
         with self._ctx:
-            self._follow_scene(inverse(X_WC))
+            self._follow_scene(inverse(X_WC), pinhole)
             self._set_uniforms(X_WC, pinhole, near, far)
             return self._draw(pinhole)
 
@@ -79,7 +81,7 @@ class GlRenderer:
 
     # -- scene ----------------------------------------------------------------------------------
 
-    def _follow_scene(self, X_CW: Array) -> None:
+    def _follow_scene(self, X_CW: Array, pinhole: Pinhole) -> None:
         if self._version != self._scene.version:
             for batch in self._batches:
                 batch.release()
@@ -88,12 +90,15 @@ class GlRenderer:
             self._poses.forget()
         poses = self._poses.read(dict.fromkeys(key for batch in self._batches for key in batch.keys))
         centers, radii = [np.zeros((0, 3))], [np.zeros(0)]
+        self._seen = []
         for batch in self._batches:
             batch.follow(self._scene)
             X_WV = np.array([poses[key] for key in batch.keys]) @ batch.X_LV
             batch.place(X_CW, X_WV)
             n = batch.casters
-            centers.append(np.einsum("nij,nj->ni", X_WV[:n, :3, :3], batch.centers_V[:n]) + X_WV[:n, :3, 3])
+            middle = np.einsum("nij,nj->ni", X_WV[:, :3, :3], batch.centers_V) + X_WV[:, :3, 3]
+            self._seen.append(_in_view(middle @ X_CW[:3, :3].T + X_CW[:3, 3], batch.radii, pinhole))
+            centers.append(middle[:n])
             radii.append(batch.radii[:n])
         self._spheres = np.vstack(centers), np.concatenate(radii)
 
@@ -145,8 +150,8 @@ class GlRenderer:
         target.use()
         target.clear(depth=1.0)
         ctx.front_face = "cw"  # counter-clockwise triangles, seen in rows stored top first
-        for batch in self._batches:
-            batch.draw(shadows)
+        for batch, seen in zip(self._batches, self._seen, strict=True):
+            batch.draw(shadows, seen)
         ctx.disable(ctx.CULL_FACE)
         self._backdrop.render(vertices=3)
         shape = (pinhole.height, pinhole.width)
@@ -182,6 +187,21 @@ class GlRenderer:
             self._shadow_targets[size] = depth, self._ctx.framebuffer(depth_attachment=depth)
         depth, target = self._shadow_targets[size]
         return depth, target
+
+
+def _in_view(p_C: Array, radii: Array, p: Pinhole) -> NDArray[np.bool_]:
+    """Which spheres (N,) reach into the picture: centres (N, 3) in the camera's frame, radii (N,) [m]."""
+    sides = np.array(
+        [
+            [p.fx, 0.0, p.cx + 1.0],
+            [-p.fx, 0.0, p.width - p.cx],
+            [0.0, p.fy, p.cy + 1.0],
+            [0.0, -p.fy, p.height - p.cy],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    inwards = sides / np.linalg.norm(sides, axis=1, keepdims=True)
+    return np.asarray((p_C @ inwards.T > -radii[:, None]).all(axis=1))
 
 
 def _projection(p: Pinhole, near: float, far: float) -> Array:

@@ -63,6 +63,7 @@ class Batch:
                 part["uv"] = visual.mesh.uv
         moving = np.vstack([_position_normal(visual.mesh) for visual in visuals])
         faces = [v.mesh.faces + first for v, first in zip(visuals, starts[:-1], strict=True)]
+        self._first_index = np.concatenate([[0], np.cumsum([part.size for part in faces])])
         self._moving = ctx.buffer(moving.tobytes(), dynamic=True)
         self._fixed = ctx.buffer(fixed.tobytes())
         index = ctx.buffer(np.vstack(faces).astype("<i4").tobytes())
@@ -124,13 +125,18 @@ class Batch:
             self._block.bind_to_uniform_block(_BLOCK_BINDING)
             self._shadow_vao.render()
 
-    def draw(self, shadows: bool) -> None:
-        """Draw everything into the current target."""
+    def draw(self, shadows: bool, seen: NDArray[np.bool_]) -> None:
+        """Draw the visuals that are `seen` (N,) into the current target."""
+        if not seen.any():
+            return
         self._cull()
         self._block.bind_to_uniform_block(_BLOCK_BINDING)
         if self._skins is not None:
             self._skins.use(_SKINS_UNIT)
-        self._color_vaos[shadows].render()
+        edges = np.flatnonzero(np.diff(seen, prepend=False, append=False))
+        for first, last in edges.reshape(-1, 2):  # neighbours that are seen share a draw call
+            start, end = self._first_index[first], self._first_index[last]
+            self._color_vaos[shadows].render(vertices=int(end - start), first=int(start))
 
     def _cull(self) -> None:
         if self._two_sided:
