@@ -57,4 +57,8 @@ prepare() {
         }
         printf '%s' "$wanted" >"$stamp"
     fi
+    # The hand networks: 36 MB once per user, checked, and shared by all environments.
+    "$venv/bin/python" -m cell.perception.hands.fetch >/dev/null || {
+        say "Without the hand networks no person can be watched; --person none still works."
+    }
 }

@@ -40,6 +40,8 @@ _LEAVES = 0.08
 """A hand that is so far from where it held an onion before the eyes takes it away [m]."""
 _PLACING = 2.5
 """Putting an onion down takes at most so long [s]."""
+_HOLDS = 9.0
+"""An onion is held at most so long [s]."""
 _SAME_HAND = 0.30
 """A working hand this far from where it was a frame ago is the other one [m]."""
 _IDLE_AFTER = 1.3
@@ -71,7 +73,7 @@ class HumanActions:
         self.reading = ActionReading(0.0, Action.NO_OP, 0.0, 0.0)
         self._was_low = self._left = False
         self._rests = 0
-        self._t = 0.0
+        self._t = self._took = 0.0
         self._hanging_since: float | None = None
         self._last: tuple[float, Array] | None = None
         self._eyes = self._carrier = np.zeros(3)
@@ -90,6 +92,8 @@ class HumanActions:
         return self.reading
 
     def _judge(self, view: PersonView) -> tuple[Action, float]:
+        if self.busy and view.t - self._took > _HOLDS:
+            self.busy = False  # nobody looks at an onion for so long: its end was not seen
         if view.problem:
             return Action.NO_OP, 0.0
         if view.sign is not Gesture.NONE:
@@ -121,7 +125,7 @@ class HumanActions:
             if self.reading.action is Action.PLACE_ON_CONVEYOR:
                 self._put_down()
             elif self.reading.action is Action.PICK:
-                self.busy = True
+                self.busy, self._took = True, self._t
         return self._raised(p, v, speed)
 
     def _low(self, p: Array, v: Array, strip: float) -> tuple[Action, float]:

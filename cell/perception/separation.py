@@ -100,7 +100,7 @@ class Separation:
         rows, columns = np.nonzero(before)
         p = self.scene.p_WC + depth[rows, columns, None] * self.scene.rays_W[rows, columns].astype(float)
         is_arm = _gaps(p, arm) < _ARM_MARGIN
-        person: NDArray[np.bool_] = np.array(~is_arm)
+        person = _mask(~is_arm)
         person[person] = self._not_produce(p[person], onions)
         points, seen = p[person], np.full(int(person.sum()), frame.t)
         if self._last is not None and len(self._last.p_WP):
@@ -134,7 +134,7 @@ class Separation:
         zone = ((p > self._low) & (p < self._high)).all(axis=1)
         zone[candidates[inside]] = False
         parts = self._parts(p, np.flatnonzero(zone), low)
-        keep: NDArray[np.bool_] = np.array(~low)
+        keep = _mask(~low)
         keep[parts] = True
         if inside.any() and len(parts):
             keep[candidates[inside]] = self._grasped(p[candidates[inside]], p[parts], onions)
@@ -181,6 +181,11 @@ class Separation:
         behind = (seen > 0.0) & (seen < z - _HIDDEN_BY)
         recent = now - self._last.seen_at <= _KEEP
         return np.asarray((arm[row, column] > 0) & (behind | (seen == 0.0)) & recent)
+
+
+def _mask(values: object) -> NDArray[np.bool_]:
+    """A fresh array of booleans."""
+    return np.array(values, dtype=np.bool_)
 
 
 def _pair_gaps(p: Array, spheres: Array) -> Array:

@@ -93,26 +93,23 @@ def isolate(
         distances: of the hands along the optical axis [m].
         slab: how much nearer or farther something may be [m].
     """
-    near = np.zeros(depth.shape, np.uint8)
+    near = np.zeros(depth.shape, bool)
     for distance in distances:
-        near |= np.abs(depth - np.float32(distance)) <= np.float32(slab)
+        near |= (depth >= np.float32(distance - slab)) & (depth <= np.float32(distance + slab))
     hole = depth <= 0.0
-    rim = cv2.dilate(near, _RIM)
-    keep = (
-        (near > 0)
-        | (hole & (rim > 0))
-        | (_beside(near, hole) & _beside(near[:, ::-1], hole[:, ::-1])[:, ::-1])
-    )
-    out = rgb.copy()
-    out[~keep] = _GREY
-    return out
+    keep = cv2.dilate(near.view(np.uint8), _RIM).view(bool)
+    keep |= _beside(near, hole) & _beside(near[:, ::-1], hole[:, ::-1])[:, ::-1]
+    keep &= hole
+    keep |= near
+    return np.where(keep[..., None], rgb, np.uint8(_GREY))
 
 
-def _beside(near: NDArray[np.uint8], hole: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _beside(near: NDArray[np.bool_], hole: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Where the last reading to the left (or the pixel's own) is `near`; false where there is none."""
-    column = np.where(hole, 0, np.arange(hole.shape[1], dtype=np.int32))
-    last = np.maximum.accumulate(column, axis=1)
-    return np.asarray(np.take_along_axis(near, last, axis=1) > 0)
+    # Each reading marks its place and whether it is near; the largest mark so far is the last one's.
+    place = np.arange(2, 2 * hole.shape[1] + 2, 2, dtype=np.uint16)
+    mark = np.where(hole, np.uint16(0), place + near)
+    return (np.maximum.accumulate(mark, axis=1) & 1).astype(bool)
 
 
 def _palm_depths(landmarks: Array, depth: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -70,7 +70,7 @@ class KeyPoses:
 
     def inspect(self) -> Arm:
         """Before the eyes."""
-        return self._before((0.36, 0.06, 0.40), (0.62, -0.55, 0.45), (-0.55, -0.55, 0.2), "grip")
+        return self._before((0.36, 0.06, 0.38), (0.72, -0.62, 0.25), (-0.35, 0.05, 0.95), "grip")
 
     def drop(self, p_W: Array) -> Arm:
         """Over the bin, the palm down."""

@@ -92,7 +92,7 @@ def _texels(name: str) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         mean = cv2.boxFilter(out * filled[..., None], -1, (3, 3), normalize=False)
         edge = (grown > 0) & (filled == 0)
         out[edge] = mean[edge] / weight[edge][:, None]
-        filled = grown
+        filled = np.asarray(grown, np.uint8)
     return out[..., :3], out[..., 3]
 
 
