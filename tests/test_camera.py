@@ -6,8 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from cell.config import CameraConfig, load
+from cell.config import load
 from cell.frames import Pinhole, look_at
+from cell.settings import CameraConfig
 from hil.sim.camera import Camera, sense, sense_depth
 from hil.sim.render.renderer import Image
 

@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 import cell.config
+import cell.settings
 from cell.config import CellConfig, from_dict, load, reference_cell, to_dict
 from cell.errors import ConfigError
 
@@ -143,11 +144,11 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 def test_every_key_has_a_docstring_of_its_own_or_shares_the_next_ones() -> None:
     """A run of keys ends in a docstring; classes and their sections are documented too."""
     classes: list[Any] = [c for c in vars(cell.config).values() if inspect.isclass(c)]
-    sections = [c for c in classes if issubclass(c, msgspec.Struct) and not c.__name__.startswith("_")]
+    sections = [c for c in classes if issubclass(c, msgspec.Struct) and c.__name__.endswith("Config")]
     assert CellConfig in sections and len(sections) == 12
     sections_by_name = {c.__name__ for c in sections}
-    tree = ast.parse(inspect.getsource(cell.config))
-    for node in tree.body:
+    trees = [ast.parse(inspect.getsource(module)) for module in (cell.config, cell.settings)]
+    for node in (node for tree in trees for node in tree.body):
         if not isinstance(node, ast.ClassDef) or node.name not in sections_by_name:
             continue
         assert ast.get_docstring(node), node.name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -13,13 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cell.frames import Pinhole
-from cell.perception.hands.depth import locate_palm
+from cell.perception.hands.depth import isolate, locate_palm
 from cell.perception.hands.fetch import fetch, main
+from cell.perception.hands.gesture import classify
 from cell.perception.hands.landmarks import Hand, roi_from
 from cell.perception.hands.models import MODELS, PALM, HandModelError, cache_dir, read_model
 from cell.perception.hands.palm import ANCHORS, Palm, PalmDetector, decode, letterbox, suppress
 from cell.perception.hands.roi import Roi, cut, rotation, upright_angle
-from cell.perception.hands.tracker import HandTracker
+from cell.perception.hands.tracker import HandTracker, TrackerConfig
 
 try:
     for _model in MODELS:
@@ -29,6 +31,7 @@ except HandModelError as error:
     _missing = str(error)
 needs_models = pytest.mark.skipif(bool(_missing), reason=_missing or "hand networks are there")
 
+DATA = Path(__file__).resolve().parent / "data"
 angles = st.floats(-3.1, 3.1)
 
 
@@ -105,6 +108,12 @@ def test_cut_samples_where_it_says() -> None:
     expected = roi.to_image(np.stack([i, j], axis=-1).astype(float), 96)
     assert np.abs(out[j, i, 0] - expected[..., 0]).max() <= 1.0
     assert np.abs(out[j, i, 1] - expected[..., 1]).max() <= 1.0
+
+
+def test_cut_survives_absurd_regions() -> None:
+    rgb = np.full((20, 20, 3), 9, np.uint8)
+    assert (cut(rgb, Roi(1e7, -1e7, 1e6, 1.0), 16, replicate=True) == 9).all()
+    assert (cut(rgb, Roi(1e7, -1e7, 1e6, 1.0), 16, replicate=False) == 0).all()
 
 
 def test_borders() -> None:
@@ -221,10 +230,12 @@ def test_palm_point_from_depth(z: float, size: float, seed: int) -> None:
     assert palm is not None and palm.plausible
     assert palm.p_CP[2] == pytest.approx(z + 0.012, abs=0.006)
     assert np.allclose(PINHOLE.project(palm.p_CP), hand.landmarks[[0, 1, 5, 9, 13, 17]].mean(axis=0))
-    assert palm.scale == pytest.approx(size, rel=0.03)
+    pixels = hand.landmarks[[0, 1, 5, 9, 13, 17]]
+    widest = max(np.linalg.norm(a - b) for a in pixels for b in pixels)
+    assert palm.span == pytest.approx(widest / PINHOLE.fx * (z + 0.012), rel=0.02)
 
 
-@pytest.mark.parametrize("size", [0.4, 2.2])
+@pytest.mark.parametrize("size", [0.35, 2.2])
 def test_wrong_size_is_not_a_hand(size: float) -> None:
     """A face is about twice as large as a hand; a doll's hand is too small."""
     palm = locate_palm(make_hand(0.8, PINHOLE, size), np.full((480, 640), 0.788, np.float32), PINHOLE)
@@ -240,7 +251,86 @@ def test_no_depth_no_point() -> None:
     assert locate_palm(broken, np.ones((480, 640), np.float32), PINHOLE) is None
 
 
+def test_isolate_keeps_what_is_at_the_hand() -> None:
+    """A hand (0.8 m) before a wall (2 m), with holes on it and a band beside it that has no depth."""
+    depth = np.full((100, 200), 2.0, np.float32)
+    depth[20:80, 80:160] = 0.8
+    depth[20:80, 50:80] = 0.0  # hidden from the second imager
+    depth[40:60, 100:130] = 0.0  # seen at a grazing angle
+    depth[0:10] = 0.3  # something in front
+    rgb = np.full((100, 200, 3), 7, np.uint8)
+    kept = isolate(rgb, depth, [0.85])[..., 0] == 7
+    assert kept[20:80, 80:160].all()
+    assert not kept[12:16].any() and not kept[0:10].any() and not kept[:, 165:].any()
+    assert not kept[25:75, 50:76].any()
+    assert kept[25:75, 78:80].all()  # the rim may still be the hand's
+    both = isolate(rgb, depth, [0.85, 2.0])[..., 0] == 7
+    assert both[12:].all() and not both[0:5].any()
+
+
 # -- the networks --------------------------------------------------------------------------------
+
+
+def picture(name: str) -> np.ndarray:
+    """A rendered hand, (200, 200, 3) RGB."""
+    return np.asarray(cv2.imread(str(DATA / f"hand_{name}.png"))[..., ::-1])
+
+
+@needs_models
+@pytest.mark.parametrize("name", ["up", "down"])
+def test_landmarks_are_those_of_mediapipe(name: str) -> None:
+    """The reference is MediaPipe 0.10.21 itself, on the same image; see tests/data."""
+    expected = json.loads((DATA / "hand_landmarks.json").read_text())[name]
+    (hand,) = HandTracker(config=TrackerConfig(hands=1)).update(picture(name), [letterbox(200, 200)])
+    assert np.abs(hand.landmarks - expected["landmarks"]).max() < 0.05
+    assert np.abs(hand.world - expected["world"]).max() < 5e-4
+    assert hand.presence > 0.9
+    assert (hand.p_right > 0.5) == (name == "up")  # the pictures show a right and a left hand
+    assert classify(hand).gesture.value == name
+
+
+@needs_models
+def test_tracking_follows_and_lets_go() -> None:
+    tracker = HandTracker()
+    rgb = np.full((300, 400, 3), 90, np.uint8)
+    found = []
+    for step in range(6):
+        frame = rgb.copy()
+        frame[20 + 5 * step : 220 + 5 * step, 30 + 12 * step : 230 + 12 * step] = picture("up")
+        (hand,) = tracker.update(frame, [Roi(140 + 12 * step, 120 + 5 * step, 200)])
+        found.append(hand.landmarks[9])
+    moved = np.diff(found, axis=0)
+    assert np.abs(moved - (12, 5)).max() < 4
+    assert tracker.update(rgb, [Roi(200, 150, 200)]) == ()
+    assert tracker.update(rgb, []) == ()
+
+
+@needs_models
+def test_two_hands_and_no_hand_twice() -> None:
+    rgb = np.concatenate([picture("up"), picture("down")], axis=1)
+    left, right = Roi(100, 100, 200), Roi(300, 100, 200)
+    tracker = HandTracker()
+    for _ in range(3):
+        hands = tracker.update(rgb, [left, left, right, right])
+        assert len(hands) == 2
+        assert hands[0].landmarks[:, 0].max() < 200 < hands[1].landmarks[:, 0].min()
+    # The candidates decide which hand stays when there is room for one.
+    single = HandTracker(config=TrackerConfig(hands=1))
+    single.update(rgb, [left])
+    (hand,) = single.update(rgb, [right])
+    assert hand.landmarks[:, 0].min() > 200
+
+
+@needs_models
+def test_tracking_is_deterministic() -> None:
+    runs = []
+    for _ in range(2):
+        tracker = HandTracker()
+        for _ in range(2):
+            tracker.reset()
+            hands = [tracker.update(picture("down"), [Roi(105, 98, 190)]) for _ in range(4)]
+            runs.append(np.array([h.landmarks for (h,) in hands]))
+    assert all(np.array_equal(runs[0], other) for other in runs[1:])
 
 
 @needs_models

@@ -9,7 +9,16 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-BASE = {"cell.wire", "cell.clock", "cell.frames", "cell.config", "cell.limits", "cell.errors", "cell.version"}
+BASE = {
+    "cell.wire",
+    "cell.clock",
+    "cell.frames",
+    "cell.config",
+    "cell.settings",
+    "cell.limits",
+    "cell.errors",
+    "cell.version",
+}
 ABOVE = {
     # package: what of the project it may import besides itself and the base
     "cell.perception": set(),

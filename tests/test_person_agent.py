@@ -136,7 +136,7 @@ def test_an_unknown_person_is_an_error_that_lists_the_names() -> None:
 )
 def test_each_kind_of_onion_goes_the_published_way(kind: str, expected: list[int]) -> None:
     life = Life(Belt(1, blemish=kind)).run(12.0)
-    assert life.actions() == [Action.NO_OP, *expected, Action.NO_OP]
+    assert life.actions() == [*expected, Action.DETECT]
     assert life.agent.sorted_ == {0}
     p = life.belt.p[0]
     if expected[-1] == Action.PLACE_IN_BIN:
@@ -157,7 +157,7 @@ def test_a_person_leaves_what_is_at_the_robots_tool() -> None:
     belt = Belt(1)
     belt.p_WT = belt.p[0] + (-0.05, 0.05, 0.1)
     life = Life(belt).run(5.0)
-    assert life.actions() == [Action.NO_OP]
+    assert life.actions() == [Action.DETECT]
     belt.p_WT = np.array([0.0, -0.3, 0.3])
     assert life.run(4.0).agent.held == 0
 
@@ -180,7 +180,7 @@ def test_a_hand_on_its_way_turns_back(how: str) -> None:
     if how != "it rolls away":
         life.run(0.8)
         assert life.agent.figure.grip("R", life.t)[2] > CONFIG.belt.top_z + 0.15
-        assert life.agent.action == Action.NO_OP
+        assert life.agent.action == Action.DETECT
     else:
         assert life.run(4.0).agent.held == 0 or life.agent.sorted_
 

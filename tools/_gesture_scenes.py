@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.config import CameraConfig, load
+from cell.config import load
 from cell.frames import Array, Pinhole, inverse, look_at, pose, rot_x, rot_y, rot_z
+from cell.settings import CameraConfig
 from hil.sim.camera import sense, sense_depth
 from hil.sim.person.body import Body, body_names
 from hil.sim.person.hands import shape

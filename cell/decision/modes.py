@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from cell.config import CellConfig, MotionConfig
+from cell.config import CellConfig
 from cell.decision.ssm import allowed_speed
+from cell.settings import MotionConfig
 from cell.wire.vocabulary import Mode, RobotType
 
 _UNDERSTOOD = 0.5

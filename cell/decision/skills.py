@@ -6,13 +6,13 @@ task changes by what a skill reports, never by what was hoped for.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from cell.decision.companion import Companion
+from cell.decision.looking import BLEMISHED_ABOVE, Looking
 from cell.decision.primitives import GiveWay, Primitives, Skill, SkillError, never
 from cell.decision.targets import Grasp, choose
 from cell.errors import PlanError
@@ -20,14 +20,9 @@ from cell.frames import Array
 from cell.motion.planner import Planner
 from cell.motion.views import InspectionViews
 from cell.perception.look import Eye
-from cell.perception.tracking import Status, Track, Tracker
-from cell.wire.types import Detections
+from cell.perception.tracking import Status, Track
 from cell.wire.vocabulary import Prediction
 
-_BLEMISHED_ABOVE = 0.5
-"""P(blemished) from which an onion counts as blemished."""
-_UNCERTAIN = (0.25, 0.75)
-"""Between these the detector is asked again."""
 _FINGERTIP = 0.011
 """The fingers reach this far beyond the tool centre point [m]."""
 _BELT_GAP = 0.006
@@ -68,10 +63,10 @@ class Skills:
     ) -> None:
         self.body = body
         self.person = person
-        self.tracker = Tracker()
+        self.looking = Looking(body, eye)
+        self.tracker = self.looking.tracker
         self.target: Grasp | None = None
-        self.detections: list[Detections] = []
-        self._planner, self._views, self._eye = planner, views, eye
+        self._planner, self._views = planner, views
         self._config = body.config
         self._X_WT_grasp: Array | None = None
 
@@ -85,15 +80,15 @@ class Skills:
         self.target = None
         yield from self._go_home()
         for _ in range(self._config.supervisor.look_attempts):
-            yield from self._look_at_belt()
+            yield from self.looking.at_belt()
             while free := self._free():
                 grasp = choose(free, self.tracker.tracks, self._p_WT(), self._config)
                 if self._reachable(grasp):
                     self.target = grasp
-                    chance = yield from self._until_certain(
-                        grasp.track.p_blemished, partial(self._look_again, grasp.track.id)
+                    chance = yield from self.looking.until_certain(
+                        grasp.track.p_blemished, partial(self.looking.again, grasp.track.id)
                     )
-                    blemished = chance >= _BLEMISHED_ABOVE
+                    blemished = chance >= BLEMISHED_ABOVE
                     return Ended("done", "", Prediction.BLEMISHED if blemished else Prediction.UNBLEMISHED)
                 self.tracker.failed(grasp.track.id, 1, "out of the arm's reach")
         if occupied := self._occupied():
@@ -165,14 +160,14 @@ class Skills:
             p_WT = view.X_WT[:3, 3]
             chance: float | None = None
             for _ in range(self._config.supervisor.look_attempts):
-                chance = yield from self._look_at_held(p_WT)
+                chance = yield from self.looking.at_held(p_WT)
                 if chance is not None:
                     break
             if chance is None:
                 continue
             found += 1
-            chance = yield from self._until_certain(chance, partial(self._look_at_held, p_WT))
-            if chance >= _BLEMISHED_ABOVE:
+            chance = yield from self.looking.until_certain(chance, partial(self.looking.at_held, p_WT))
+            if chance >= BLEMISHED_ABOVE:
                 return Ended("done", "blemish seen", Prediction.BLEMISHED)
         if found == 0:
             # Nothing proves that it is sound: the safe side for the eater is the bin.
@@ -220,39 +215,6 @@ class Skills:
         return Ended("done")
 
     # -- parts ----------------------------------------------------------------------------------
-
-    def _look_at_belt(self) -> Skill[None]:
-        """Take a frame of the belt into the tracker."""
-        frame = yield from self.body.look("belt")
-        seen = self._eye.belt(frame)
-        self.detections.append(seen.detections)
-        self.tracker.look(list(seen.sightings))
-
-    def _look_again(self, track_id: int) -> Skill[float | None]:
-        """P(blemished) of one onion in a new frame of the belt; None if it was not seen."""
-        yield from self._look_at_belt()
-        track = self.tracker.get(track_id)
-        return track.p_blemished if track is not None and track.missed == 0 else None
-
-    def _look_at_held(self, p_WT: Array) -> Skill[float | None]:
-        """P(blemished) of the onion held at `p_WT` (3,) [m] in a new frame; None if it was not found."""
-        frame = yield from self.body.look("belt")
-        seen = self._eye.held(frame, p_WT)
-        self.detections.append(seen.detections)
-        return seen.p_blemished if seen.found else None
-
-    def _until_certain(self, chance: float, again: Callable[[], Skill[float | None]]) -> Skill[float]:
-        """Mean P(blemished) over as many looks as it takes to be certain, in bounds."""
-        looks = [chance]
-        while (
-            len(looks) < self._config.supervisor.look_attempts
-            and _UNCERTAIN[0] < sum(looks) / len(looks) < _UNCERTAIN[1]
-        ):
-            more = yield from again()
-            if more is None:
-                break
-            looks.append(more)
-        return sum(looks) / len(looks)
 
     def _free(self) -> list[Track]:
         """Onions to be sorted that the last look showed, and that no person is at."""

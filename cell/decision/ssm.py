@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from cell.config import SeparationConfig
+from cell.settings import SeparationConfig
 
 
 def allowed_speed(d: float, c: SeparationConfig) -> float:

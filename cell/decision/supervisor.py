@@ -86,9 +86,10 @@ class Supervisor:
             self._work(inputs)
             mode = self._mode(permit, inputs)  # the policy may have changed it, or a wait begun
             self._body.speed_cap = mode.cap
+        if not self._result[0]:
             self._show(mode)
-        detections = tuple(self._skills.detections)
-        self._skills.detections.clear()
+        detections = tuple(self._skills.looking.detections)
+        self._skills.looking.detections.clear()
         events, self._events = tuple(self._events), []
         done, failure = self._result
         hands: tuple[Hands, ...] = ()

@@ -44,8 +44,6 @@ _HOLDS = 9.0
 """An onion is held at most so long [s]."""
 _SAME_HAND = 0.30
 """A working hand this far from where it was a frame ago is the other one [m]."""
-_IDLE_AFTER = 1.3
-"""An empty hand that has done nothing for so long belongs to somebody who does nothing [s]."""
 _SURE, _LIKELY, _GUESS = 0.95, 0.8, 0.6
 
 
@@ -186,11 +184,8 @@ class HumanActions:
         return self._empty()
 
     def _empty(self) -> tuple[Action, float]:
-        """An empty hand that reaches for nothing: its owner looks, or does nothing at all."""
-        if self.reading.action is Action.NO_OP:
-            return Action.NO_OP, _GUESS
-        idle = self.reading.action is Action.DETECT and self._t - self.reading.began > _IDLE_AFTER
-        return (Action.NO_OP, _GUESS) if idle else (Action.DETECT, _LIKELY)
+        """An empty hand at the belt that reaches for nothing: its owner looks for an onion."""
+        return Action.DETECT, _LIKELY
 
     def _put_down(self) -> None:
         if self.busy:

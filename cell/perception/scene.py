@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.config import BinConfig, CellConfig
+from cell.config import CellConfig
 from cell.frames import Array, Pinhole, look_at
+from cell.settings import BinConfig
 
 _WALL = 0.006
 _RAIL = 0.018

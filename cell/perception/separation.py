@@ -131,7 +131,7 @@ class Separation:
         inside = np.zeros(len(candidates), dtype=bool)
         if len(onions):
             inside = _gaps(p[candidates], onions) < _ONION_MARGIN
-        zone = ((p > self._low) & (p < self._high)).all(axis=1)
+        zone = _mask(((p > self._low) & (p < self._high)).all(axis=1))
         zone[candidates[inside]] = False
         parts = self._parts(p, np.flatnonzero(zone), low)
         keep = _mask(~low)
@@ -160,7 +160,7 @@ class Separation:
 
     def _grasped(self, p: Array, hand: Array, onions: Array) -> NDArray[np.bool_]:
         """Which produce points (N, 3) belong to an onion that a hand is at."""
-        at_hand = (_pair_gaps(hand, onions) < _GRASPING).any(axis=0)
+        at_hand = _mask((_pair_gaps(hand, onions) < _GRASPING).any(axis=0))
         nearest = _pair_gaps(p, onions).argmin(axis=1)
         return np.asarray(at_hand[nearest])
 

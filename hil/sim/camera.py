@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.config import CameraConfig
 from cell.frames import Array, Pinhole, look_at
+from cell.settings import CameraConfig
 from cell.wire.types import Frame
 from hil.sim.render.renderer import Image
 

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cell.config import BinConfig, CellConfig
+from cell.config import CellConfig
 from cell.frames import Array, look_at, pose
+from cell.settings import BinConfig
 
 POST_RADIUS = 0.02
 CAMERA_BODY = (0.090, 0.025, 0.025)

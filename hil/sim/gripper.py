@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cell.config import GripperConfig
+from cell.settings import GripperConfig
 from hil.sim.physics import bullet
 from urdf import FINGER_JOINT_NAMES
 

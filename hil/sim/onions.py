@@ -13,8 +13,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.config import OnionConfig
 from cell.frames import Array
+from cell.settings import OnionConfig
 from hil.sim.render.mesh import Mesh
 
 TEXTURE_SHAPE = (128, 256)

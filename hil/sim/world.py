@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import urdf
-from cell.config import BinConfig, CellConfig
+from cell.config import CellConfig
 from cell.errors import ConfigError
 from cell.frames import Array, from_quaternion, pose, quaternion
+from cell.settings import BinConfig
 from hil.sim.arm import SimArm
 from hil.sim.fixtures import fixtures
 from hil.sim.gripper import SimGripper

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -117,8 +119,9 @@ class Network:
         except ImportError:
             raise HandModelError("the hand networks need: pip install ai-edge-litert") from None
         try:
-            self._interpreter: Any = Interpreter(model_content=data, num_threads=threads)
-            self._interpreter.allocate_tensors()
+            with _silent():
+                self._interpreter: Any = Interpreter(model_content=data, num_threads=threads)
+                self._interpreter.allocate_tensors()
         except (ValueError, RuntimeError) as error:
             reason = " ".join(str(error).split())[:200]
             raise HandModelError(f"the hand network cannot be run: {reason}") from None
@@ -136,3 +139,16 @@ class Network:
         self._interpreter.set_tensor(self._input, tensor[None])
         self._interpreter.invoke()
         return tuple(np.asarray(self._interpreter.get_tensor(i), np.float32) for i in self._outputs)
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Keep what the library writes to standard error by itself away from users."""
+    kept, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nothing, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nothing)

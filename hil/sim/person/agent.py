@@ -59,7 +59,7 @@ class Agent:
         self._keys = KeyPoses(poser, config, self.side)
         self._station, self._rest = np.array(config.person.station), np.array(config.person.rest)
         self.figure = Figure(self._keys, config, persona.hand_speed, persona.pace, self._station)
-        self.action, self.gesture, self.fatigued = Action.NO_OP, "", False
+        self.action, self.gesture, self.fatigued = Action.DETECT, "", False
         self.held: int | None = None
         self.sorted_: set[int] = set()
         self.gestures: list[ShownGesture] = []
@@ -197,8 +197,8 @@ class Agent:
         self.figure.reach(self.side, self._keys.ready(), self._now, rise=rise, trunk=WORKING)
 
     def _idle(self) -> Iterator[None]:
-        """Nothing to do: wait for it, the hands down if it takes long."""
-        self.action = Action.NO_OP
+        """No onion to take: look out for one, the hands down if it takes long."""
+        self.action = Action.DETECT
         since, down = self._now, False
         while self._choose() is None:
             if not down and self._now - since > _IDLE:

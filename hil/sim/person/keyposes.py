@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from cell.config import CellConfig, Vec3
+from cell.config import CellConfig
 from cell.frames import Array, rot_y, rot_z
+from cell.settings import Vec3
 from hil.sim.person.hands import shape
 from hil.sim.person.reach import Poser, hand_frame
 from hil.sim.person.stance import Arm, Stance

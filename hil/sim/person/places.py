@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from cell.config import BinConfig, CellConfig
+from cell.config import CellConfig
 from cell.frames import Array
+from cell.settings import BinConfig
 
 _SHY = 0.15
 """Not this near to the robot's tool, if there is another place [m]."""
