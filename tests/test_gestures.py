@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cell.perception.hands.gesture import Gesture, GestureRule, classify
@@ -48,6 +48,7 @@ def test_up_and_down() -> None:
         assert classify(turned(one, np.pi)).gesture is DOWN
 
 
+@settings(deadline=None, max_examples=40)
 @given(st.floats(-3.1, 3.1))
 def test_the_sign_never_points_the_wrong_way(angle: float) -> None:
     reading = classify(turned(thumbs_up(), angle))
@@ -126,6 +127,7 @@ def test_it_ends_and_may_flicker() -> None:
     assert run([UP, UP, UP, NONE, UP, NONE, NONE, NONE, NONE]) == [NONE, NONE, UP, UP, UP, UP, UP, NONE, NONE]
 
 
+@settings(deadline=None, max_examples=40)
 @given(st.lists(st.sampled_from([UP, DOWN, NONE]), max_size=30))
 def test_sign_is_never_guessed(signs: list[Gesture]) -> None:
     for i, out in enumerate(run(signs)):

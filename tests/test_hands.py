@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cell.frames import Pinhole
@@ -131,6 +131,7 @@ def test_iou() -> None:
     assert a.iou(Roi(0, 0, 1)) == pytest.approx(0.25)
 
 
+@settings(deadline=None, max_examples=40)
 @given(angles)
 def test_upright_angle_turns_image_up_into_the_direction(angle: float) -> None:
     direction = rotation(angle) @ [0.0, -1.0]
@@ -190,6 +191,7 @@ def make_landmarks() -> np.ndarray:
     return np.array(points)
 
 
+@settings(deadline=None, max_examples=40)
 @given(angles, st.floats(0.3, 3.0), st.floats(-50, 500), st.floats(-50, 500))
 def test_tracking_roi_moves_with_the_hand(angle: float, scale: float, u: float, v: float) -> None:
     base = make_landmarks()
@@ -217,6 +219,7 @@ def make_hand(z: float, pinhole: Pinhole, size: float = 1.0) -> Hand:
 PINHOLE = Pinhole.from_hfov(640, 480, 1.2)
 
 
+@settings(deadline=None, max_examples=40)
 @given(st.floats(0.4, 1.4), st.floats(0.75, 1.3), st.integers(0, 1000))
 def test_palm_point_from_depth(z: float, size: float, seed: int) -> None:
     hand = make_hand(z + 0.012, PINHOLE, size)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.config import load
-from cell.frames import Array, Pinhole, inverse, look_at, pose, rot_x, rot_y, rot_z
+from cell.frames import Array, Pinhole, look_at, pose, rot_x, rot_y, rot_z
 from cell.settings import CameraConfig
 from hil.sim.camera import sense, sense_depth
 from hil.sim.person.body import Body, body_names
@@ -122,9 +122,10 @@ class _Take:
         self._scene = Scene()
         self._config, self._pinhole = camera()
         mesh = self._poser.body.mesh
+        shirt = [int(v) for v in rng.integers(20, 240, 3)]
         look = Look(
             SKINS[plan.skin],
-            shirt=tuple(int(v) for v in rng.integers(20, 240, 3)),  # type: ignore[arg-type]
+            shirt=(shirt[0], shirt[1], shirt[2]),
             sleeve=float(rng.choice([0.0, 0.4, 0.7, 0.97])),
             seed=plan.seed,
         )
@@ -322,4 +323,4 @@ def _noise(rng: np.random.Generator, base: Any, size: int = 256) -> NDArray[np.u
     return np.dstack([np.clip(out, 0, 255), np.zeros((size, size))]).astype(np.uint8)
 
 
-__all__ = ["NEUTRAL", "RATE", "SIGNS", "Plan", "View", "camera", "film", "inverse", "plans"]
+__all__ = ["NEUTRAL", "RATE", "SIGNS", "Plan", "View", "camera", "film", "plans"]

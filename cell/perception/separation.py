@@ -28,8 +28,9 @@ _SUPPORT = 4
 _LOW = 0.11
 """Below this height over the belt something may be produce [m]."""
 _VOXEL = 0.015
-_ONION_MARGIN, _GRASPING = 0.012, 0.030
-"""Known onions are taken out with this margin [m], unless a hand is this near to their surface [m]."""
+_ONION_MARGIN, _GRASPING, _FINGERS = 0.012, 0.022, 16
+"""Known onions are taken out with this margin [m], unless a hand closes round them: so many of its points
+so near to their surface [m]."""
 _LARGEST = 0.11
 """What lies on the belt and is longer than this is no onion [m]."""
 _KEEP = 0.6
@@ -160,7 +161,7 @@ class Separation:
 
     def _grasped(self, p: Array, hand: Array, onions: Array) -> NDArray[np.bool_]:
         """Which produce points (N, 3) belong to an onion that a hand is at."""
-        at_hand = _mask((_pair_gaps(hand, onions) < _GRASPING).any(axis=0))
+        at_hand = _mask((_pair_gaps(hand, onions) < _GRASPING).sum(axis=0) >= _FINGERS)
         nearest = _pair_gaps(p, onions).argmin(axis=1)
         return np.asarray(at_hand[nearest])
 

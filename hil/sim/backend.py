@@ -177,8 +177,8 @@ class SimBackend:
     def _expose(self, camera: Camera) -> None:
         assert self._renderer is not None
         self.world.refresh()
-        image = self._renderer.render(camera.X_WC, camera.pinhole, camera.near, camera.far)
-        camera.expose(self.now(), image)
+        picture = self._renderer.submit(camera.X_WC, camera.pinhole, camera.near, camera.far)
+        camera.expose(self.now(), picture)
 
 
 def best_renderer() -> str:

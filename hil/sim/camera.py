@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cell.frames import Array, Pinhole, look_at
 from cell.settings import CameraConfig
 from cell.wire.types import Frame
-from hil.sim.render.renderer import Image
+from hil.sim.render.renderer import Image, Pending
 
 NEAR, FAR = 0.05, 12.0
 """Nearest and farthest distance drawn for the colour image [m]."""
@@ -149,7 +149,7 @@ class Camera:
         self.seq = 0
         self._seed = (seed, zlib.crc32(name.encode()))
         self._periods = -1
-        self._waiting: deque[Frame] = deque()
+        self._waiting: deque[tuple[int, float, Pending]] = deque()
 
     def wants_exposure(self, now: float) -> bool:
         """True once per period of a free-running camera, at its first call in that period."""
@@ -161,15 +161,16 @@ class Camera:
         self._periods = periods
         return True
 
-    def expose(self, now: float, image: Image) -> None:
-        """Take a frame of the ideal `image` at time `now` [s]; `due` delivers it later."""
+    def expose(self, now: float, picture: Pending) -> None:
+        """Take a frame of the ideal `picture` at time `now` [s]; `due` delivers it later."""
         self.seq += 1
-        rgb, depth = sense(image, self.config, np.random.default_rng([*self._seed, self.seq]))
-        self._waiting.append(Frame(self.name, self.seq, now, rgb, depth))
+        self._waiting.append((self.seq, now, picture))
 
     def due(self, now: float) -> list[Frame]:
         """Frames whose latency has passed at `now` [s], oldest first; each is returned once."""
         out = []
-        while self._waiting and self._waiting[0].t + self.config.latency <= now + 1e-9:
-            out.append(self._waiting.popleft())
+        while self._waiting and self._waiting[0][1] + self.config.latency <= now + 1e-9:
+            seq, t, picture = self._waiting.popleft()
+            rng = np.random.default_rng([*self._seed, seq])
+            out.append(Frame(self.name, seq, t, *sense(picture.image(), self.config, rng)))
         return out

@@ -101,14 +101,14 @@ def isolate(
     keep |= _beside(near, hole) & _beside(near[:, ::-1], hole[:, ::-1])[:, ::-1]
     keep &= hole
     keep |= near
-    return np.where(keep[..., None], rgb, np.uint8(_GREY))
+    return np.asarray(cv2.copyTo(rgb, keep.view(np.uint8), np.full_like(rgb, _GREY)), np.uint8)
 
 
 def _beside(near: NDArray[np.bool_], hole: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Where the last reading to the left (or the pixel's own) is `near`; false where there is none."""
     # Each reading marks its place and whether it is near; the largest mark so far is the last one's.
-    place = np.arange(2, 2 * hole.shape[1] + 2, 2, dtype=np.uint16)
-    mark = np.where(hole, np.uint16(0), place + near)
+    mark = np.arange(2, 2 * hole.shape[1] + 2, 2, dtype=np.uint16) + near
+    mark *= ~hole
     return (np.maximum.accumulate(mark, axis=1) & 1).astype(bool)
 
 

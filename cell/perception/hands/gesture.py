@@ -49,12 +49,12 @@ class GestureRule:
             About 99 % of the images of signs keep each of them.
     """
 
-    bias: float = 4.93
-    curl: float = -3.47
-    thumb_away: float = 2.52
-    tilt: float = -2.42
-    knuckles: float = -3.17
-    margin: float = 2.52
+    bias: float = 4.04
+    curl: float = -3.30
+    thumb_away: float = 2.56
+    tilt: float = -1.26
+    knuckles: float = -2.99
+    margin: float = 3.03
     threshold: float = 0.6
     most_curl: float = 1.6
     most_tilt: float = np.deg2rad(60.0)

@@ -17,7 +17,7 @@ from cell.errors import RenderError
 from cell.frames import Array, Pinhole, inverse
 from hil.sim.render.bodies import LinkPoses
 from hil.sim.render.gl_batch import Batch, make_batches
-from hil.sim.render.renderer import Image, Lighting
+from hil.sim.render.renderer import Image, Lighting, Pending
 from hil.sim.render.scene import Scene
 from hil.sim.render.shaders import build_programs
 from hil.sim.render.shadow import shadow_from_world
@@ -59,22 +59,41 @@ class GlRenderer:
         self._batches: list[Batch] = []
         self._seen: list[NDArray[np.bool_]] = []
         self._version = -1
-        self._targets: dict[tuple[int, int], Any] = {}
+        self._elsewhere = self._ctx.simple_framebuffer((1, 1))
+        self._targets: list[Any] = [self._elsewhere]
+        self._free: dict[tuple[int, int], list[Any]] = {}
         self._shadow_targets: dict[int, Any] = {}
 
     def render(self, X_WC: Array, pinhole: Pinhole, near: float, far: float) -> Image:
+        return self.submit(X_WC, pinhole, near, far).image()
+
+    def submit(self, X_WC: Array, pinhole: Pinhole, near: float, far: float) -> Pending:
         if self._ctx is None:
             raise RenderError("the renderer is closed")
         with self._ctx:
             self._follow_scene(inverse(X_WC), pinhole)
             self._set_uniforms(X_WC, pinhole, near, far)
-            return self._draw(pinhole)
+            target = self._free_target(pinhole.width, pinhole.height)
+            self._draw(target)
+            # Going on with another target makes the driver start on this one.
+            self._elsewhere.use()
+            self._elsewhere.clear()
+        return _Drawn(self, target)
+
+    def collect(self, target: Any) -> Image:
+        """Read a finished target back and let others use it."""
+        if self._ctx is None:
+            raise RenderError("the renderer is closed")
+        with self._ctx:
+            image = _read(target)
+        self._free[target.size].append(target)
+        return image
 
     def close(self) -> None:
         if self._ctx is None:
             return
         with self._ctx:
-            for resource in (*self._batches, *self._targets.values()):
+            for resource in (*self._batches, *self._targets):
                 resource.release()
         self._ctx.release()
         self._ctx = None
@@ -133,7 +152,7 @@ class GlRenderer:
                     else:
                         program[key].value = value
 
-    def _draw(self, pinhole: Pinhole) -> Image:
+    def _draw(self, target: Any) -> None:
         ctx = self._ctx
         ctx.enable_only(ctx.DEPTH_TEST)
         ctx.depth_func = "<="
@@ -146,7 +165,6 @@ class GlRenderer:
             for batch in self._batches:
                 batch.draw_shadow()
             depth.use(_SHADOW_UNIT)
-        target = self._target(pinhole.width, pinhole.height)
         target.use()
         target.clear(depth=1.0)
         ctx.front_face = "cw"  # counter-clockwise triangles, seen in rows stored top first
@@ -154,28 +172,23 @@ class GlRenderer:
             batch.draw(shadows, seen)
         ctx.disable(ctx.CULL_FACE)
         self._backdrop.render(vertices=3)
-        shape = (pinhole.height, pinhole.width)
-        rgba = np.empty((*shape, 4), dtype=np.uint8)
-        depth = np.empty(shape, dtype=np.float32)
-        labels = np.empty(shape, dtype=np.int32)
-        target.read_into(rgba, components=4, attachment=0)
-        target.read_into(depth, components=1, attachment=1, dtype="f4")
-        target.read_into(labels, components=1, attachment=2, dtype="i4")
-        rgb = np.asarray(cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB), dtype=np.uint8)
-        return Image(rgb, depth, labels, rgba[..., 3] > 127)
 
-    def _target(self, width: int, height: int) -> Any:
-        if (width, height) not in self._targets:
-            size = (width, height)
-            self._targets[size] = self._ctx.framebuffer(
-                [
-                    self._ctx.renderbuffer(size, 4),
-                    self._ctx.renderbuffer(size, 1, dtype="f4"),
-                    self._ctx.renderbuffer(size, 1, dtype="i4"),
-                ],
-                self._ctx.depth_renderbuffer(size),
-            )
-        return self._targets[width, height]
+    def _free_target(self, width: int, height: int) -> Any:
+        """A frame buffer that no unread picture is in."""
+        size = (width, height)
+        free = self._free.setdefault(size, [])
+        if free:
+            return free.pop()
+        target = self._ctx.framebuffer(
+            [
+                self._ctx.renderbuffer(size, 4),
+                self._ctx.renderbuffer(size, 1, dtype="f4"),
+                self._ctx.renderbuffer(size, 1, dtype="i4"),
+            ],
+            self._ctx.depth_renderbuffer(size),
+        )
+        self._targets.append(target)
+        return target
 
     def _shadow_target(self, size: int) -> tuple[Any, Any]:
         """The shadow map of this size and the frame buffer that fills it."""
@@ -187,6 +200,29 @@ class GlRenderer:
             self._shadow_targets[size] = depth, self._ctx.framebuffer(depth_attachment=depth)
         depth, target = self._shadow_targets[size]
         return depth, target
+
+
+class _Drawn:
+    """A picture that the driver draws, in threads of its own or on a GPU."""
+
+    def __init__(self, renderer: GlRenderer, target: Any) -> None:
+        self._renderer, self._target = renderer, target
+
+    def image(self) -> Image:
+        return self._renderer.collect(self._target)
+
+
+def _read(target: Any) -> Image:
+    """The picture in a frame buffer; waits until it is drawn."""
+    width, height = target.size
+    rgba = np.empty((height, width, 4), dtype=np.uint8)
+    depth = np.empty((height, width), dtype=np.float32)
+    labels = np.empty((height, width), dtype=np.int32)
+    target.read_into(rgba, components=4, attachment=0)
+    target.read_into(depth, components=1, attachment=1, dtype="f4")
+    target.read_into(labels, components=1, attachment=2, dtype="i4")
+    rgb = np.asarray(cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB), dtype=np.uint8)
+    return Image(rgb, depth, labels, rgba[..., 3] > 127)
 
 
 def _in_view(p_C: Array, radii: Array, p: Pinhole) -> NDArray[np.bool_]:

@@ -33,6 +33,10 @@ class Image:
     labels: NDArray[np.int32]
     marks: NDArray[np.bool_] | None
 
+    def image(self) -> Image:
+        """Itself: a picture that is done already is `Pending`, too."""
+        return self
+
 
 @dataclass(frozen=True)
 class Lighting:
@@ -62,6 +66,14 @@ class Lighting:
     shadow_size: int = 1024
 
 
+class Pending(Protocol):
+    """A picture that is being drawn."""
+
+    def image(self) -> Image:
+        """The picture; waits until it is done. To be called once."""
+        ...
+
+
 class Renderer(Protocol):
     """Draws the scene as an ideal pinhole camera sees it, following PyBullet's bodies.
 
@@ -79,6 +91,10 @@ class Renderer(Protocol):
             pinhole: intrinsics.
             near, far: nearest and farthest distance drawn [m].
         """
+        ...
+
+    def submit(self, X_WC: Array, pinhole: Pinhole, near: float, far: float) -> Pending:
+        """As `render`, of the bodies where they are now, but without waiting for the picture."""
         ...
 
     def close(self) -> None:

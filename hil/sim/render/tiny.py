@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cell.frames import Array, Pinhole, inverse
 from hil.sim.physics import bullet
-from hil.sim.render.renderer import Image, Lighting
+from hil.sim.render.renderer import Image, Lighting, Pending
 from hil.sim.render.scene import Scene
 
 _LINK_SHIFT = 24
@@ -63,6 +63,9 @@ class TinyRenderer:
         rgb = np.ascontiguousarray(np.asarray(rgba, dtype=np.uint8).reshape(*shape, 4)[..., :3])
         rgb[~seen] = np.round(255 * np.asarray(light.background)).astype(np.uint8)
         return Image(rgb, depth, self._labels(segments, seen), None)
+
+    def submit(self, X_WC: Array, pinhole: Pinhole, near: float, far: float) -> Pending:
+        return self.render(X_WC, pinhole, near, far)
 
     def close(self) -> None:
         """Nothing is held."""
