@@ -38,6 +38,8 @@ class Score:
         self._frames: list[tuple[float, float]] = []
         self._past: list[tuple[float, Array, float, float]] = []
         self.rows: list[dict[str, Any]] = []
+        self._actions: list[tuple[float, int]] = []
+        self.worst: list[str] = []
 
     def tick(self, inputs: Inputs, outputs: Outputs, truth: Truth) -> None:
         """One supervisor tick with the truth at its end."""
@@ -49,6 +51,7 @@ class Score:
         for frame in inputs.frames:
             if frame.camera == "person":
                 self._look(frame)
+                self._actions.append((frame.t, state.human_action))
         self.rows.append(
             {
                 "t": inputs.t,
@@ -85,13 +88,16 @@ class Score:
         """All figures of the round; pairs and matrices are summed over rounds elsewhere."""
         column = {k: np.array([row[k] for row in self.rows]) for k in self.rows[0]}
         confusion = np.zeros((len(Action), len(Action)), int)
-        np.add.at(confusion, (column["true_action"], column["action"]), 1)
+        for t, seen in self._actions:  # what a frame showed against what was done at its exposure
+            at = int(np.argmin(np.abs(column["t"] - t)))
+            confusion[int(column["true_action"][at]), seen] += 1
         return {
             "confusion": confusion.tolist(),
             "ended": self._ended(column).tolist(),
             "belief": [column["fatigued"].astype(int).tolist(), np.round(column["belief"], 4).tolist()],
             "belief_true_actions": np.round(self._perfect_belief(column), 4).tolist(),
             "separation_error": self._separation_errors(column),
+            "worst_separation": self.worst,
             "over_cap": self._over(column, column["cap"]),
             "over_permitted": self._over(column, self._permitted(column)),
             "entries": self._entries(column),
@@ -130,7 +136,12 @@ class Score:
         d = np.array([f[1] for f in self._frames])
         seen = np.isfinite(d) & (t >= c["t"][0]) & (t <= c["t"][-1])
         true = np.interp(t[seen], c["t"], c["true_separation"])
-        return [round(float(e), 4) for e in d[seen] - true]
+        errors = d[seen] - true
+        for k in np.argsort(-errors)[:3]:
+            row = self.rows[int(np.argmin(np.abs(c["t"] - t[seen][k])))]
+            what = Action(int(row["true_action"])).name.lower()
+            self.worst.append(f"{t[seen][k]:.2f} s: {errors[k]:+.3f} m at {true[k]:.3f} m, {what}")
+        return [round(float(e), 4) for e in errors]
 
     def _permitted(self, c: dict[str, Array]) -> Array:
         """Tool speed that the true separation permits [m/s]."""

@@ -36,7 +36,7 @@ _HIPS = 0.0
 """A hand lower than this beside the belt hangs [m]."""
 _HANGING_FOR = 0.6
 """Hands that hang for so long hold nothing [s]."""
-_LEAVES = 0.08
+_LEAVES = 0.05
 """A hand that is so far from where it held an onion before the eyes takes it away [m]."""
 _PLACING = 2.5
 """Putting an onion down takes at most so long [s]."""
@@ -69,7 +69,7 @@ class HumanActions:
         self.busy = False
         self.placed = 0
         self.reading = ActionReading(0.0, Action.NO_OP, 0.0, 0.0)
-        self._was_low = self._left = False
+        self._was_low = self._left = self._was_at_bin = False
         self._rests = 0
         self._t = self._took = 0.0
         self._hanging_since: float | None = None
@@ -112,7 +112,10 @@ class HumanActions:
         belt, strip = self._config.belt, self._config.person.sorted_x
         speed = float(np.linalg.norm(v))
         self._rests = self._rests + 1 if speed < _STILL else 0
-        if self._at_bin(p):
+        came, self._was_at_bin = self._was_at_bin, self._at_bin(p)
+        if came and not self._was_at_bin and self.reading.action is Action.PLACE_IN_BIN:
+            self._put_down()
+        if self._was_at_bin:
             if self.busy and self._rests >= _LET_GO:
                 self._put_down()
             return (Action.PLACE_IN_BIN, _SURE) if self.busy else self._empty()
