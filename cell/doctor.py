@@ -56,6 +56,7 @@ def examine(config_path: Path | None, renderer_problem: Callable[[], str]) -> bo
             "reach", _problem(lambda: _check_reach(config)), "every pick, inspect and place pose is reachable"
         )
         report("detector", _problem(lambda: _check_detector(config)), "weights load and run")
+        report("hands", _problem(lambda: _check_hands(config)), "the hand networks are there", needed=False)
     if config is not None:
         report("port", _port_problem(config.port), f"{config.port} is free")
     problem = renderer_problem()
@@ -106,6 +107,13 @@ def _check_detector(config: CellConfig) -> None:
 
     detector = Detector(Path(config.detector) if config.detector else None)
     detector.detect(np.zeros((64, 64, 3), np.uint8))
+
+
+def _check_hands(config: CellConfig) -> None:
+    from cell.perception.hands.models import MODELS, read_model
+
+    for model in MODELS:
+        read_model(model, Path(config.gestures.models) if config.gestures.models else None)
 
 
 def _port_problem(port: int) -> str:

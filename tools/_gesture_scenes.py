@@ -35,7 +35,8 @@ _FLOOR, _BELT = -0.95, -0.15
 _PERSON, _OTHER = 1, 2
 _LEAST_SEEN = 0.8
 """Share of the hand's landmarks, and of its thumb's, that nothing else may hide in the first image;
-half of the landmarks must have depth, without which nobody would look for a hand there."""
+half of the landmarks must have depth, without which nobody would look for a hand there, and nothing
+of the person may be nearer to the camera than it can measure."""
 _HIDDEN, _HIDDEN_THUMB = 0.09, 0.04
 """A landmark this far behind what the camera sees is hidden by something else than the hand [m]."""
 _POSES, _VIEWS = 10, 6
@@ -196,7 +197,7 @@ class _Take:
 
     def _seen(self, renderer: GlRenderer, X_WC: Array, marks: Array) -> float:
         """Least of three: share of the landmarks and of the thumb's that the camera sees, and
-        share of the landmarks with depth, plus 0.3."""
+        share of the landmarks with depth, plus 0.3; 0 if the person is too near to be measured."""
         p_C = (marks - X_WC[:3, 3]) @ X_WC[:3, :3]
         uv = np.rint(self._pinhole.project(p_C)).astype(int)
         limits = self._pinhole.width - 1, self._pinhole.height - 1
@@ -204,6 +205,8 @@ class _Take:
         u, v = np.clip(uv, 0, limits).T
         image = renderer.render(X_WC, self._pinhole, 0.05, 8.0)
         measured = sense_depth(image.depth, self._config, np.random.default_rng(0))[v, u] > 0.0
+        if (image.labels == _PERSON)[image.depth < self._config.min_depth].any():
+            return 0.0
         depth = image.depth[v, u]
         seen = inside & (depth > p_C[:, 2] - _HIDDEN)
         thumb = inside & (depth > p_C[:, 2] - _HIDDEN_THUMB)

@@ -84,32 +84,35 @@ def isolate(
     """The image with everything grey that is not at the distance of one of the hands.
 
     The networks then cannot take another hand for the one that is meant, nor see a thumb in the
-    background. A pixel without a reading stays if the nearest readings on both sides of it in its
-    row stay, or if it touches one that does: an arm seen at a grazing angle has holes, whereas
-    what the second imager cannot see past an arm belongs to the background on its left.
+    background. A pixel without a reading counts as the farther of the nearest readings on both
+    sides of it in its row: what one imager cannot see past something near belongs to what is
+    behind. If it touches the hand it stays, because the edges of a hand have no readings.
 
     Args:
         rgb: shape (H, W, 3) uint8. depth: shape (H, W) [m], aligned, 0 where there is no reading.
         distances: of the hands along the optical axis [m].
         slab: how much nearer or farther something may be [m].
     """
-    near = np.zeros(depth.shape, bool)
-    for distance in distances:
-        near |= (depth >= np.float32(distance - slab)) & (depth <= np.float32(distance + slab))
     hole = depth <= 0.0
-    keep = cv2.dilate(near.view(np.uint8), _RIM).view(bool)
-    keep |= _beside(near, hole) & _beside(near[:, ::-1], hole[:, ::-1])[:, ::-1]
-    keep &= hole
-    keep |= near
+    keep = np.zeros(depth.shape, bool)
+    for distance in distances:
+        # 1 is nearer than the slab, 2 in it, 3 farther; 0 no reading.
+        place = 1 + (depth >= np.float32(distance - slab)).view(np.uint8)
+        place += depth > np.float32(distance + slab)
+        place *= ~hole
+        here = place == 2
+        rim = cv2.dilate(here.view(np.uint8), _RIM).view(bool)
+        beside = np.maximum(_last(place), _last(place[:, ::-1])[:, ::-1])
+        keep |= here | (hole & (rim | (beside == 2)))
     return np.asarray(cv2.copyTo(rgb, keep.view(np.uint8), np.full_like(rgb, _GREY)), np.uint8)
 
 
-def _beside(near: NDArray[np.bool_], hole: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Where the last reading to the left (or the pixel's own) is `near`; false where there is none."""
-    # Each reading marks its place and whether it is near; the largest mark so far is the last one's.
-    mark = np.arange(2, 2 * hole.shape[1] + 2, 2, dtype=np.uint16) + near
-    mark *= ~hole
-    return (np.maximum.accumulate(mark, axis=1) & 1).astype(bool)
+def _last(place: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """In each row the last value so far that is not 0, or 0."""
+    # Values that also carry their column: the largest so far is the last one.
+    column = np.arange(4, 4 * place.shape[1] + 4, 4, dtype=np.uint16)
+    mark = (column + place) * (place > 0)
+    return np.asarray(np.maximum.accumulate(mark, axis=1) & 3, np.uint8)
 
 
 def _palm_depths(landmarks: Array, depth: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -74,7 +74,8 @@ class Features:
             from the wrist to the middle knuckle; at most 1.2.
         tilt: of the thumb in the image, from the vertical [rad].
         knuckles: angle in space between the row of knuckles, little to index finger, and the
-            sign's direction [rad]; large for a hand that lies flat.
+            sign's direction [rad]; large for a hand that lies flat. Across the line of sight it
+            is measured in the image, which is more exact, and only along it in the world landmarks.
         margin: by how much the thumb's tip is beyond all of the rest of the hand, in palm sizes;
             between -0.5 and 0.6.
     """
@@ -112,13 +113,15 @@ def measure(landmarks: Array, world: Array, up_C: Array) -> Features:
     sign = 1.0 if up else -1.0
     length = np.linalg.norm(landmarks[9] - landmarks[0]) + np.linalg.norm(landmarks[5] - landmarks[17])
     height = -sign * landmarks[:, 1]
+    row = world[5] - world[17]
+    across = _spread(world[:, :2]) / max(_spread(landmarks), 1e-6)  # metres per pixel
     margin = (height[4] - height[_REST].max()) / max(float(length), 1e-6)
     return Features(
         up=up,
         curl=float((tips / knuckles).mean()),
         thumb_away=float(np.minimum(away, _FAR)),
         tilt=_angle(thumb, np.array([0.0, -sign])),
-        knuckles=_angle(world[5] - world[17], sign * up_C),
+        knuckles=_angle(np.append(across * (landmarks[5] - landmarks[17]), row[2]), sign * up_C),
         margin=float(np.clip(margin, *_MARGINS)),
     )
 
@@ -143,6 +146,11 @@ def classify(hand: Hand, rule: GestureRule | None = None, up_C: Array | None = N
     shown = score >= rule.threshold and closed and upright and apart
     gesture = (Gesture.UP if f.up else Gesture.DOWN) if shown else Gesture.NONE
     return Reading(gesture, f, score)
+
+
+def _spread(points: Array) -> float:
+    """Root mean square distance of points (N, 2) from their middle."""
+    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
 def _angle(a: Array, b: Array) -> float:

@@ -68,7 +68,7 @@ _ALL = (
         wobble=0.004, roll=0.06, mistakes=0.02,
     ),
     Persona(
-        "dana", "sturdy", Look(SKINS[0], hair=(150, 118, 74), shirt=(208, 190, 140), sleeve=0.0, seed=4),
+        "dana", "sturdy", Look(SKINS[0], hair=(150, 118, 74), shirt=(208, 190, 140), sleeve=0.12, seed=4),
         pace=1.05, rest=(18.0, 26.0), reaction=0.5, wobble=0.007, wobble_turn=0.06, sloppiness=0.06,
     ),
     Persona(
