@@ -48,6 +48,8 @@ OURS = {
     "joint_limits": dict,
     "sha256": dict,
     "misses": list,
+    "yields": int,
+    "person_contacts": int,
 }
 SEED = 1
 
@@ -85,10 +87,10 @@ def test_the_result_has_the_keys_of_the_contract_in_their_types() -> None:
     assert set(data) == set(CONTRACT) | set(OURS)
     for key, kind in {**CONTRACT, **OURS}.items():
         assert isinstance(data[key], kind), key
-    assert (data["backend"], data["policy"], data["seed"]) == ("sim", "expert", SEED)
-    assert (data["person"], data["onions"], data["version"]) == ("none", 2, __version__)
+    assert (data["backend"], data["policy"], data["seed"]) == ("sim", "tb-decairl", SEED)
+    assert (data["person"], data["onions"], data["version"]) == ("ana", 2, __version__)
     assert set(data["max_tcp_speed_m_s"]) == {"collaborative", "industrial"}
-    assert data["min_separation_m"] is None and data["gesture_delay_s"] is None  # nobody is there
+    assert 0.0 < data["min_separation_m"] < 1.0 and data["person_contacts"] == 0
     assert data["real_time_factor"] > 0.0
 
 
@@ -100,7 +102,7 @@ def test_the_exit_code_agrees_with_the_content() -> None:
         assert run.returncode == (0 if good else 1), run.stderr
         assert "Traceback" not in run.stderr and run.stdout == ""
         assert f"{data['sorted']} of 2" in run.stderr
-        assert data["sorted"] == data["by_robot"] and data["by_human"] == 0
+        assert data["sorted"] == data["by_robot"] + data["by_human"] == 2
         assert data["misplaced"] + data["dropped"] == len(data["misses"])
 
 
