@@ -1,0 +1,1 @@
+"""The TCP servers of the emulated controller, all on one thread with its cycle."""
