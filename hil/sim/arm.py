@@ -69,6 +69,11 @@ class SimArm:
             np.array([s[3] for s in states]),
         )
 
+    def angles(self) -> tuple[float, ...]:
+        """The joint angles alone (6,) [rad]."""
+        states = bullet.getJointStates(self._body, self._indices, physicsClientId=self._client)
+        return tuple(s[0] for s in states)
+
     def _delayed(self, t: float) -> tuple[Array, Array]:
         points = self._setpoints
         while len(points) > 1 and points[1][0] <= t:

@@ -66,9 +66,7 @@ class SimBackend:
                 "the simulated person needs the gl renderer (renderer: gl): PyBullet's own cannot draw "
                 "a body that moves; where EGL does not work, use --person none"
             )
-        self._world = World(
-            self._config, seed, onions, reference_visuals=choice == "tiny", person=self._persona
-        )
+        self._world = self._make_world(seed, onions, reference_visuals=choice == "tiny")
         self._renderer = make_renderer(choice, self._world.client, self._world.scene)
         self._cameras = {name: Camera(name, camera, seed) for name, camera in self._config.cameras.items()}
         for camera in self._cameras.values():  # the first image compiles shaders: not in the loop
@@ -76,6 +74,9 @@ class SimBackend:
         self._batch = 1
         self._fingers_moving = False
         self._contacts, self._contact_ticks = [], 0
+
+    def _make_world(self, seed: int, onions: int, *, reference_visuals: bool) -> World:
+        return World(self._config, seed, onions, reference_visuals=reference_visuals, person=self._persona)
 
     def close(self) -> None:
         if self._renderer is not None:
@@ -118,6 +119,11 @@ class SimBackend:
             self._contact_ticks += 1
             if len(self._contacts) < _CONTACTS_KEPT:
                 self._contacts.append(f"{world.time:.3f} s: robot touches {', '.join(touched)}")
+        self._expose_due()
+
+    def _expose_due(self) -> None:
+        """Free-running cameras whose time has come expose."""
+        world = self.world
         for camera in self._cameras.values():
             watched = camera.name != "person" or world.person is not None
             if watched and camera.wants_exposure(world.time):

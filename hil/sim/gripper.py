@@ -55,10 +55,21 @@ class SimGripper:
         self._stalled, self._held_width = 0.0, None
         return self.target, self._speed, self._force
 
+    def place(self, fingers: tuple[float, float], holding: bool) -> None:
+        """Put the fingers there at once [m], holding something or not, as seen elsewhere."""
+        for finger, position in zip(self._fingers, fingers, strict=True):
+            bullet.resetJointState(self._body, finger, position, 0.0, physicsClientId=self._client)
+        self._held_width = sum(fingers) if holding else None
+
     def measure(self) -> tuple[float, float]:
         """Width [m] and its rate [m/s]."""
         states = bullet.getJointStates(self._body, self._fingers, physicsClientId=self._client)
         return sum(s[0] for s in states), sum(s[1] for s in states)
+
+    def fingers(self) -> tuple[float, float]:
+        """Positions of both fingers [m]."""
+        left, right = bullet.getJointStates(self._body, self._fingers, physicsClientId=self._client)
+        return left[0], right[0]
 
     @property
     def holding(self) -> bool:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cell.frames import Array
 from cell.settings import OnionConfig
+from hil.sim.physics import bullet
 from hil.sim.render.mesh import Mesh
 
 TEXTURE_SHAPE = (128, 256)
@@ -22,6 +23,8 @@ TEXTURE_SHAPE = (128, 256)
 
 _DENSITY = 950.0
 """Of onion flesh [kg/m^3]."""
+_SLEEP = 0.01
+"""Onions slower than this for two seconds sleep until something touches them (Bullet's measure)."""
 _AROUND, _DOWN = 40, 26
 _SKINS = ((0.45, (198, 146, 82)), (0.30, (168, 112, 62)), (0.15, (126, 48, 66)), (0.10, (222, 206, 168)))
 """(share, RGB) of yellow, brown, red and white onions."""
@@ -86,6 +89,23 @@ def make_onion(rng: np.random.Generator, config: OnionConfig, index: int) -> Oni
         mass=_DENSITY * 4 / 3 * np.pi * radius**2 * height,
         blemishes=blemishes,
     )
+
+
+def onion_body(client: int, mass: float, radius: float, visual: int = -1) -> int:
+    """A body that rolls, slides and is gripped like an onion; a metre above the base, to be put somewhere.
+
+    Args:
+        mass: [kg]. radius: of its sphere [m]. visual: PyBullet visual shape, -1: none.
+    """
+    shape = bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=radius, physicsClientId=client)
+    body: int = bullet.createMultiBody(mass, shape, visual, [0, 0, 1], physicsClientId=client)
+    bullet.changeDynamics(
+        body, -1, lateralFriction=0.8, rollingFriction=0.006, spinningFriction=0.004,
+        linearDamping=0.02, angularDamping=0.1,
+        activationState=bullet.ACTIVATION_STATE_ENABLE_SLEEPING, sleepThreshold=_SLEEP,
+        physicsClientId=client,
+    )  # fmt: skip
+    return body
 
 
 def _mesh(rng: np.random.Generator, radius: float, height: float) -> Mesh:

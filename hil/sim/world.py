@@ -18,7 +18,7 @@ from hil.sim.arm import SimArm
 from hil.sim.fixtures import fixtures
 from hil.sim.gripper import SimGripper
 from hil.sim.light import ModeLight
-from hil.sim.onions import Onion, make_onion
+from hil.sim.onions import Onion, make_onion, onion_body
 from hil.sim.physics import bullet, connect, quiet
 from hil.sim.render.mesh import box_mesh, cylinder_mesh
 from hil.sim.render.scene import Scene, Visual, add_urdf_visuals
@@ -30,8 +30,6 @@ LABELS = {"robot": 1, "belt": 2, "bin": 3, "post": 4, "floor": 5, "pedestal": 6,
 """Labels of the scene's parts; onion number i has label `ONION_LABEL + i`."""
 ONION_LABEL = 100
 
-_SLEEP = 0.01
-"""Onions slower than this for two seconds sleep until something touches them (Bullet's measure)."""
 _SETTLE = 1.0
 """Time for dropped onions to come to rest before the round starts [s]."""
 
@@ -91,12 +89,16 @@ class World:
         """Advance one control period; True while the gripper's fingers move."""
         moving = self.gripper.drive(self.config.arm.control_period)
         for _ in range(self.config.arm.physics_substeps):
-            self.arm.follow(self.time + self.time_step)
-            bullet.stepSimulation(physicsClientId=self.client)
-            self._substep += 1
+            self.substep()
         if self.person is not None:
             self.person.step(self.signal)
         return moving
+
+    def substep(self) -> None:
+        """Advance arm and bodies by one physics step."""
+        self.arm.follow(self.time + self.time_step)
+        bullet.stepSimulation(physicsClientId=self.client)
+        self._substep += 1
 
     @property
     def signal(self) -> str:
@@ -241,6 +243,8 @@ class World:
         Where a batch is so large that chance does not find room, the spacing gives way by up to a
         tenth, as long as the largest onions stay apart.
         """
+        if not count:
+            return []
         b, config = self.config.belt, self.config.onions
         lo, hi = np.array([b.pick_x[0], b.pick_y[0]]), np.array([b.pick_x[1], b.pick_y[1]])
         spacing, least = config.spacing, max(0.9 * config.spacing, 1.02 * config.diameter[1])
@@ -261,19 +265,10 @@ class World:
             spacing = max(least, 0.98 * spacing)
 
     def _add_onion(self, index: int, onion: Onion) -> int:
-        c = self.client
-        shape = bullet.createCollisionShape(
-            bullet.GEOM_SPHERE, radius=onion.collision_radius, physicsClientId=c
-        )
         visual = self._reference_visual(onion) if self._reference else -1
-        body: int = bullet.createMultiBody(onion.mass, shape, visual, [0, 0, 1], physicsClientId=c)
+        body = onion_body(self.client, onion.mass, onion.collision_radius, visual)
         if self._reference:
             self._reference_texture(body, onion)
-        bullet.changeDynamics(
-            body, -1, lateralFriction=0.8, rollingFriction=0.006, spinningFriction=0.004,
-            linearDamping=0.02, angularDamping=0.1,
-            activationState=bullet.ACTIVATION_STATE_ENABLE_SLEEPING, sleepThreshold=_SLEEP, physicsClientId=c,
-        )  # fmt: skip
         self.scene.add(
             Visual(
                 body=body, link=-1, X_LV=np.eye(4), mesh=onion.mesh, rgba=(1.0, 1.0, 1.0, 1.0),
