@@ -113,8 +113,7 @@ class WorldPlant:
         world.arm.command(world.time + world.time_step, q, qd)
         world.substep()
         if part == min(1, self._cycles - 1):
-            self._watch_contacts()
-            self._wrench = self._force.measure(self._masses)
+            self._feel()
         if part == self._cycles - 1:
             self._report()
         self._tick += 1
@@ -183,14 +182,19 @@ class WorldPlant:
         bullet.resetBasePositionAndOrientation(body, p, hand.pose[3:], physicsClientId=c)
         bullet.resetBaseVelocity(body, hand.velocity, [0, 0, 0], physicsClientId=c)
 
-    def _watch_contacts(self) -> None:
-        touched = self.world.forbidden_contacts()
+    def _feel(self) -> None:
+        """Measure the tool's force, and notice contacts that must not be."""
+        world = self.world
+        points = bullet.getContactPoints(world.robot, physicsClientId=world.client)
+        self._wrench = self._force.measure(points, self._masses)
+        groups = {world.fixed.get(point[2], "") for point in points if point[8] < 0.0}
+        touched = sorted(groups - {"", "pedestal"})
         if not touched:
             return
         self._contacts += 1
         if self._exchange is not None and self._told < _CONTACTS_KEPT:
             self._told += 1
-            self._exchange.send(Touch(f"{self.world.time:.3f} s: robot touches {', '.join(touched)}"))
+            self._exchange.send(Touch(f"{world.time:.3f} s: robot touches {', '.join(touched)}"))
 
     def _report(self) -> None:
         if self._exchange is None:

@@ -7,7 +7,8 @@ weight of the gripper itself is not in it: a sensor that was zeroed with the gri
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from hil.emulator.interfaces import ZERO6
 from hil.sim.physics import bullet
 from hil.sim.world import World
 from urdf import FINGER_JOINT_NAMES
+
+Contact = tuple[Any, ...]
 
 _GRAVITY = 9.81
 _W_TO_B = np.array([-1.0, -1.0, 1.0, -1.0, -1.0, 1.0])
@@ -29,14 +32,15 @@ class ToolForce:
         self._world = world
         self._fingers = {world.joints[name] for name in FINGER_JOINT_NAMES}
 
-    def measure(self, masses: Mapping[int, float]) -> Array:
+    def measure(self, contacts: Sequence[Contact], masses: Mapping[int, float]) -> Array:
         """Force [N] and torque [Nm] about the tool centre point, axes of B, shape (6,).
 
         Args:
+            contacts: all of the robot, as `getContactPoints` gives them.
             masses: of the bodies that can be held [kg], by PyBullet body.
         """
         world, c = self._world, self._world.client
-        points = [p for p in bullet.getContactPoints(world.robot, physicsClientId=c) if p[2] != world.robot]
+        points = [p for p in contacts if p[2] != world.robot]
         if not points:
             return ZERO6
         tool = bullet.getLinkState(world.robot, world.tcp_link, physicsClientId=c)[4]
@@ -52,7 +56,7 @@ class ToolForce:
         out *= _W_TO_B
         return out
 
-    def _held(self, points: list[tuple[int, ...]], masses: Mapping[int, float]) -> set[int]:
+    def _held(self, points: Sequence[Contact], masses: Mapping[int, float]) -> set[int]:
         """Bodies between the fingers, while the gripper is stopped on something."""
         if not self._world.gripper.holding:
             return set()
