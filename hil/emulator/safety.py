@@ -129,8 +129,8 @@ class Safety:
             return ""
         if now - self._protective_since < self._unlock_after:
             return (
-                f"Cannot unlock protective stop until {self._unlock_after:.0f}s after occurrence. Always inspect "
-                "cause of protective stop before unlocking"
+                f"Cannot unlock protective stop until {self._unlock_after:.0f}s after occurrence. "
+                "Always inspect cause of protective stop before unlocking"
             )
         self._protective_since = None
         self._judge()

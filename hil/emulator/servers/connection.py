@@ -86,6 +86,11 @@ class Connection:
     def open(self) -> bool:
         return not self.why_closed
 
+    @property
+    def room(self) -> bool:
+        """Nothing waits for the client to read."""
+        return not self._unsent
+
     def close(self, why: str) -> None:
         """Close after a last attempt to send what waits; the first reason stands."""
         if self.open:

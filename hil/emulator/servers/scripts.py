@@ -1,0 +1,73 @@
+"""Script text on the ports 30001-30003: where one ends, and what is not a program."""
+
+from __future__ import annotations
+
+from cell.errors import DecodeError
+from hil.emulator.controller import Controller
+
+_MAX_TEXT = 4_000_000
+_QUIET = 0.05
+"""A program's last line is "end", and nothing follows for this long [s]."""
+_PATIENCE = 1.0
+"""After this long [s] a program that does not end so is handed over all the same."""
+
+
+def split_script(buffer: bytearray, quiet: float) -> list[bytes]:
+    """Take whole programs and whole single lines off the front.
+
+    Args:
+        quiet: time since the last byte came [s].
+
+    Raises:
+        DecodeError: too long for a script.
+    """
+    if len(buffer) > _MAX_TEXT:
+        raise DecodeError(f"a script may have {_MAX_TEXT} bytes")
+    messages = []
+    while buffer:
+        start = _first_line(buffer)
+        if buffer[start:].startswith((b"def ", b"sec ")):
+            ends = buffer.rstrip().endswith(b"end")
+            if quiet < (_QUIET if ends else _PATIENCE):
+                break
+            messages.append(bytes(buffer))
+            buffer.clear()
+            break
+        end = buffer.find(b"\n", start)
+        if end < 0:
+            if quiet >= _PATIENCE:
+                messages.append(bytes(buffer[start:]))
+                buffer.clear()
+            break
+        messages.append(bytes(buffer[start:end]))
+        del buffer[: end + 1]
+    return [message for message in messages if message.strip()]
+
+
+def _first_line(buffer: bytearray) -> int:
+    """Where the first line starts that is neither empty nor a comment."""
+    at = 0
+    while at < len(buffer):
+        end = buffer.find(b"\n", at)
+        line = buffer[at:] if end < 0 else buffer[at:end]
+        if end < 0 or (line.strip() and not line.lstrip().startswith(b"#")):
+            return at + len(line) - len(line.lstrip())
+        at = end + 1
+    return at
+
+
+def take_script(text: str, peer: str, controller: Controller) -> None:
+    """Run it: a command of the controller, or a program."""
+    words = text.split()
+    if words == ["stop", "program"]:
+        controller.runtime.stop()
+    elif words == ["set", "robotmode", "run"]:
+        controller.brake_release()
+    elif words == ["power", "on"]:
+        controller.power_on()
+    elif words == ["power", "off"]:
+        controller.power_off()
+    elif words[:1] == ["sec"]:
+        controller.message("Script refused: secondary programs are not supported", 1)
+    else:
+        controller.upload(text, peer)
