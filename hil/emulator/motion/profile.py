@@ -56,12 +56,14 @@ class TimeLaw:
                 self._piece(corners[k].length / speeds[k + 1], speeds[k + 1], 0.0, corners[k].length)
 
     def at(self, t: float) -> tuple[float, float]:
-        """Path length and path speed at `t` [s], which must not run backwards."""
+        """Path length and path speed at `t` [s]; quickest where `t` moves on little by little."""
         if t >= self.duration:
             return self.length, 0.0
         pieces = self._pieces
         while self._at + 1 < len(pieces) and pieces[self._at + 1][0] <= t:
             self._at += 1
+        while self._at > 0 and pieces[self._at][0] > t:
+            self._at -= 1
         start, s, v, a = pieces[self._at]
         dt = t - start
         return s + dt * (v + 0.5 * a * dt), v + a * dt
