@@ -48,19 +48,15 @@ class Chain:
         elbow, elbow_speed = self._elbow(q.tolist(), qd.tolist())
         return Motion(tuple(pose_of(frame)), tuple((J @ qd).tolist()), elbow, elbow_speed)
 
-    def acceleration(self, q: Array, qd: Array, qdd: Array) -> tuple[float, ...]:
-        """Of the TCP, linear and angular [m/s^2], [rad/s^2], length 6."""
-        before = self._speed(q, qd)
-        after = self._speed(q + qd * _INSTANT, qd + qdd * _INSTANT)
-        return tuple(((after - before) / _INSTANT).tolist())
+    def acceleration(self, motion: Motion, q: Array, qd: Array, qdd: Array) -> tuple[float, ...]:
+        """Of the TCP, linear and angular [m/s^2], [rad/s^2], length 6; `motion` is that of q and qd."""
+        later = (q + qd * _INSTANT).tolist()
+        speed = self._kinematics.jacobian(later, self._offset)[1] @ (qd + qdd * _INSTANT)
+        return tuple(((speed - motion.speed) / _INSTANT).tolist())
 
     def flange(self, q: Array) -> Frame:
         """X_BE."""
         return self._kinematics.flange(q.tolist())
-
-    def _speed(self, q: Array, qd: Array) -> Array:
-        speed: Array = self._kinematics.jacobian(q.tolist(), self._offset)[1] @ qd
-        return speed
 
     def _elbow(self, q: list[float], qd: list[float]) -> tuple[Vector, Vector]:
         c1, s1, c2, s2 = cos(q[0]), sin(q[0]), cos(q[1]), sin(q[1])

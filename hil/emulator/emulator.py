@@ -6,8 +6,10 @@ Clients that hold the interpreter while they connect (ur-rtde does) need it in a
 from __future__ import annotations
 
 import logging
+import os
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -57,6 +59,8 @@ class Emulator:
         plant: the arm; the emulator's from now on, closed by `stop`.
         mover, recognise: see `Controller`, as for the rest of the arguments.
         gripper: served on its port; None: no gripper.
+        real_time: ask the system for real-time scheduling of the controller's thread; where it is
+            not granted, a busy machine makes cycles late.
 
     Attributes:
         controller: only its own thread may touch it while it runs, see `do`.
@@ -79,8 +83,10 @@ class Emulator:
         safety_io: SafetyIo | None = None,
         programs: Mapping[str, str] | None = None,
         power_up: bool = False,
+        real_time: bool = True,
         clock: Clock | None = None,
     ) -> None:
+        self._real_time = real_time
         self._listen, self._plant, self._gripper = listen, plant, gripper
         self._faults: Faults = faults or NoFaults()
         self._clock: Clock = clock or WallClock()
@@ -99,6 +105,7 @@ class Emulator:
         self._loop: Loop | None = None
         self._thread: threading.Thread | None = None
         self._gripper_server: RobotiqServer | None = None
+        self._closed = False
 
     def start(self) -> None:
         """Serve; returns when all ports can be connected to.
@@ -148,9 +155,9 @@ class Emulator:
             self._gripper_server = None
         if self._loop is not None:
             self._loop.end()
-            self.wait(_END_TIME)
-            self._loop = None
-            self._plant.close()
+            if self.wait(_END_TIME) and not self._closed:
+                self._closed = True
+                self._plant.close()
 
     @property
     def timing(self) -> tuple[int, int]:
@@ -183,6 +190,8 @@ class Emulator:
         return self._gripper_server.port
 
     def _run(self, loop: Loop) -> None:
+        if self._real_time:
+            _ask_for_real_time()
         try:
             loop.run()
         except Exception as error:
@@ -197,3 +206,10 @@ class Emulator:
             self._clock.sleep_until(start + late)  # a slow controller serves nobody meanwhile
         self.controller.execution_time = self._clock.now() - start
         return self.controller.now
+
+
+def _ask_for_real_time() -> None:
+    """For the calling thread only; what it starts is scheduled as usual."""
+    if hasattr(os, "sched_setscheduler"):
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))

@@ -82,12 +82,18 @@ class Outputs:
         vx, vy, vz = self.actual().speed[:3]
         return (self._c.payload + self._c.model.mass / 3.0) * sqrt(vx * vx + vy * vy + vz * vz)
 
+    def _acceleration(self) -> Sequence[float]:
+        measured = self._c.measured
+        return self._chain.acceleration(self.actual(), measured.q, measured.qd, self._c.observed.qdd)
+
+    def _target_acceleration(self) -> Sequence[float]:
+        mover = self._c.mover
+        return self._chain.acceleration(self.target(), mover.q, mover.qd, mover.qdd)
+
     def _accelerometer(self) -> Sequence[float]:
         """Specific force at the TCP, in the axes of the flange [m/s^2]."""
-        measured = self._c.measured
-        a = self._chain.acceleration(measured.q, measured.qd, self._c.observed.qdd)
-        force = [g + b for g, b in zip(self._c.gravity.tolist(), a[:3], strict=True)]
-        return turn_back(self._chain.flange(measured.q), force)
+        force = [g + a for g, a in zip(self._c.gravity.tolist(), self._acceleration()[:3], strict=True)]
+        return turn_back(self._chain.flange(self._c.measured.q), force)
 
     # -- fields -----------------------------------------------------------------------------------
 
@@ -121,10 +127,8 @@ class Outputs:
             "target_TCP_pose": lambda: self.target().pose,
             "target_TCP_speed": lambda: self.target().speed,
             "tcp_offset": lambda: c.tcp.tolist(),
-            "actual_TCP_acceleration": lambda: self._chain.acceleration(
-                c.measured.q, c.measured.qd, c.observed.qdd
-            ),
-            "target_TCP_acceleration": lambda: self._chain.acceleration(c.mover.q, c.mover.qd, c.mover.qdd),
+            "actual_TCP_acceleration": self._acceleration,
+            "target_TCP_acceleration": self._target_acceleration,
             "tcp_force_scalar": lambda: (sqrt(sum(f * f for f in c.measured.wrench.tolist()[:3])),),
             "ft_raw_wrench": lambda: c.measured.wrench.tolist(),
             "wrench_calc_from_currents": lambda: c.measured.wrench.tolist(),
