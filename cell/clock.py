@@ -25,13 +25,20 @@ class Clock(Protocol):
 
 
 class WallClock:
-    """Unix time that never runs backwards (anchored once, advanced monotonically)."""
+    """Unix time that never runs backwards (anchored once, advanced monotonically).
 
-    def __init__(self) -> None:
-        self._offset = time.time() - time.monotonic()
+    Args:
+        offset: of another process's wall clock on this machine; the two then agree.
+
+    Attributes:
+        offset: Unix time less the machine's monotonic time [s].
+    """
+
+    def __init__(self, offset: float | None = None) -> None:
+        self.offset = time.time() - time.monotonic() if offset is None else offset
 
     def now(self) -> float:
-        return time.monotonic() + self._offset
+        return time.monotonic() + self.offset
 
     def sleep_until(self, t: float) -> None:
         remaining = t - self.now()

@@ -30,6 +30,7 @@ from cell.settings import (
     Section,
     SeparationConfig,
     SupervisorConfig,
+    Ur3eConfig,
 )
 
 
@@ -53,6 +54,7 @@ class CellConfig(Section, frozen=True):
     onions: OnionConfig
     motion: MotionConfig
     supervisor: SupervisorConfig
+    ur3e: Ur3eConfig
     renderer: str = "auto"
     """Simulation: "gl", "tiny", or "auto" (gl where EGL works, else tiny with a warning)."""
     detector: str = ""
@@ -192,6 +194,14 @@ def _check(config: CellConfig) -> None:
             "onions.diameter: smallest <= largest < gripper.stroke",
         ),
         (config.onions.spacing >= config.onions.diameter[1], "onions.spacing: at least the largest diameter"),
+        (
+            config.ur3e.gripper_counts[0] < config.ur3e.gripper_counts[1],
+            "ur3e.gripper_counts: open < closed",
+        ),
+        (
+            all(device.partition(":")[0] in ("realsense", "oakd") for device in config.ur3e.devices.values()),
+            "ur3e.devices: realsense or oakd, and where needed a colon and the serial number",
+        ),
         (config.renderer in ("auto", "gl", "tiny"), "renderer: auto, gl or tiny"),
         (config.name.replace("_", "").isalnum(), "name: letters, digits and _"),
     ]

@@ -7,7 +7,8 @@ coming. `read_*` return the newest measurement with its own time; the node check
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Callable
+from typing import Protocol, runtime_checkable
 
 from cell.config import CellConfig
 from cell.wire.types import (
@@ -18,6 +19,7 @@ from cell.wire.types import (
     Frame,
     GripperState,
     JointState,
+    Truth,
 )
 
 
@@ -63,7 +65,10 @@ class Backend(Protocol):
     def read_joints(self) -> JointState: ...
 
     def read_status(self) -> ArmStatus:
-        """Robot mode, safety mode and speed scaling; the node fills in the executor's part."""
+        """Robot mode, safety mode and speed scaling; the node fills in the executor's part.
+
+        `stop_reason` names what of the robot's own keeps it from moving, where modes do not say it.
+        """
         ...
 
     def read_gripper(self) -> GripperState: ...
@@ -83,14 +88,71 @@ class Backend(Protocol):
     def close(self) -> None: ...
 
 
+@runtime_checkable
+class NeedsArming(Protocol):
+    """A backend whose device, after a stop of its own, follows set-points only once it is told to.
+
+    Attributes:
+        first_motion_speed: cap of the tool's speed in the first motion after a start or a stop [m/s].
+    """
+
+    first_motion_speed: float
+
+    def prepare(self) -> None:
+        """Get the device ready to follow again; never waits.
+
+        Raises:
+            RefusedError: it is not ready (yet); `busy` says that asking again helps.
+        """
+        ...
+
+    def enable(self) -> None:
+        """Follow from now on; the set-points start at the measured joints."""
+        ...
+
+
+@runtime_checkable
+class TellsNews(Protocol):
+    """A backend to whose devices things happen."""
+
+    def news(self) -> list[tuple[int, str]]:
+        """(level, text) of what happened since the last call; never waits."""
+        ...
+
+
+@runtime_checkable
+class Prepares(Protocol):
+    """A steppable backend that can do work of later steps, such as drawing pictures, ahead of time."""
+
+    def prepare(self) -> bool:
+        """Do a part of it, some ten milliseconds long; False when there is none."""
+        ...
+
+
+@runtime_checkable
+class KnowsTruth(Protocol):
+    """A backend that is, or has, a simulated world; `truth` is None where it has none."""
+
+    truth: Callable[[], Truth] | None
+
+
 def make_backend(
-    name: str, config: CellConfig, *, seed: int = 0, onions: int = 15, person: str = ""
+    name: str,
+    config: CellConfig,
+    *,
+    seed: int = 0,
+    onions: int = 15,
+    person: str = "",
+    robot_ip: str = "",
+    cameras: str = "",
 ) -> Backend:
     """Build the backend called `name`; raises `ConfigError` listing the names there are.
 
     Args:
-        seed, onions: the first batch, for simulated backends.
+        seed, onions: the first batch, for simulated surroundings.
         person: name of the simulated person's persona; empty: nobody.
+        robot_ip: address of the real arm's controller; empty: as configured.
+        cameras: of the real arm: "real", "sim", or a recording.
     """
     from cell.errors import ConfigError, one_of
 
@@ -98,4 +160,8 @@ def make_backend(
         from hil.sim.backend import SimBackend
 
         return SimBackend(config, seed, onions, person)
-    raise ConfigError(f"backend: {one_of(name, ['sim'])}")
+    if name == "ur3e":
+        from hil.ur3e.backend import Ur3eBackend
+
+        return Ur3eBackend(config, robot_ip, cameras or "real", seed=seed, onions=onions, person=person)
+    raise ConfigError(f"backend: {one_of(name, ['sim', 'ur3e'])}")

@@ -26,9 +26,10 @@ from cell.wire.types import (
     Trajectory,
 )
 from cell.wire.vocabulary import SIGNALS
-from hil.backend import Backend
+from hil.backend import Backend, NeedsArming
 from hil.executor import Executor
 from hil.lease import Lease
+from hil.pace import FirstMotion
 
 INFO, WARN, ERROR = 20, 30, 40
 """Levels of events."""
@@ -61,6 +62,8 @@ class Guard:
     def __init__(self, config: CellConfig, backend: Backend, say: Callable[[int, str], None]) -> None:
         self._config, self._backend, self._say = config, backend, say
         self._limits = Limits.from_config(config)
+        self._device = backend if isinstance(backend, NeedsArming) else None
+        self._first = FirstMotion(self._device.first_motion_speed if self._device else math.inf, config)
         self.refusal = ""
         self.renew()
 
@@ -76,7 +79,8 @@ class Guard:
         status = self._backend.read_status()
         if problem := robot_problem(status):
             self.stop(problem)
-        q, qd = self.executor.tick(self._backend.now(), status.speed_scaling)
+        q, qd = self.executor.tick(self._backend.now(), status.speed_scaling * self._first.pace)
+        self._first.follow(self.executor)
         self._backend.command_joints(q, qd)
         self._backend.advance()
 
@@ -132,6 +136,8 @@ class Guard:
         self.lease.require(trajectory.holder)
         self._robot_runs()
         self.executor.accept(trajectory, self._backend.now(), self._backend.read_joints().q)
+        if text := self._first.begin(trajectory):
+            self._say(INFO, text)
         return Reply(True)
 
     def on_stop(self, stop: Stop) -> Reply:
@@ -140,11 +146,16 @@ class Guard:
 
     def on_resume(self, resume: Resume) -> Reply:
         self.lease.require(resume.holder)
-        self._robot_runs()
         stopped = bool(self.executor.stop_reason)
+        if self._device is not None and stopped:
+            self._device.prepare()
+        self._robot_runs()
         joints = self._backend.read_joints()
         self.executor.resume(joints.q, joints.qd)
         if stopped:
+            if self._device is not None:
+                self._device.enable()
+            self._first.again()
             self._say(INFO, f"'{resume.holder}' lifted the stop")
         return Reply(True)
 
@@ -207,6 +218,8 @@ class Guard:
 
 def robot_problem(status: ArmStatus) -> str:
     """Why the robot itself does not let the arm move; empty when it does."""
+    if status.stop_reason:
+        return status.stop_reason
     if status.safety_mode not in _SAFETY_FINE:
         name = _SAFETY_NAMES.get(status.safety_mode, "see the robot's log")
         return f"the robot's safety mode is {status.safety_mode} ({name})"

@@ -7,11 +7,13 @@ answered when the loop has taken them in; `hil.guard` decides about them. Three 
 - a steppable backend in real time: simulated time follows wall time. A late cycle (a rendered
   image takes some 30 ms) is caught up at once, up to `_MAX_CATCH_UP` periods; what is later still
   is given up, and simulated time falls behind for good;
-- a backend with a cycle of its own: `advance` waits for it, and nothing is ever caught up.
+- a backend with a cycle of its own: `advance` waits for it. Here nothing is caught up; frames leave
+  by a thread of their own, and what happens to the devices becomes events.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -41,9 +43,10 @@ from cell.wire.types import (
     Truth,
     TruthRequest,
 )
-from hil.backend import Backend
+from hil.backend import Backend, KnowsTruth, Prepares, TellsNews
 from hil.guard import ERROR, WARN, Guard, check_batch
 from hil.inbox import Inbox
+from hil.outbox import Outbox, publish_frame
 
 _MAX_STEP = 1000
 _STATUS_TICKS = 5
@@ -107,13 +110,11 @@ class Node:
             if self._lock_step:
                 while not self._ended:
                     self._inbox.work()
+                    self._use_idle_time()
             elif self._backend.steppable:
                 self._follow_wall_time()
             else:
-                while not self._ended:
-                    self._listen()
-                    self._cycle()
-                    self._publish_frames()
+                self._follow_real_cycle()
         except _BackendFailed:
             pass  # said below, after braking
         finally:
@@ -123,6 +124,13 @@ class Node:
             raise BackendError(self._failure)
 
     # -- loops ------------------------------------------------------------------------------------
+
+    def _use_idle_time(self) -> None:
+        """While the supervisor thinks: work that a later step would have to do."""
+        if isinstance(self._backend, Prepares):
+            with self._backend_works():
+                while self._inbox.empty and self._backend.prepare():
+                    pass
 
     def _follow_wall_time(self) -> None:
         period = self._config.arm.control_period
@@ -139,6 +147,25 @@ class Node:
                 self._cycle()
             done += due
             self._publish_frames()
+
+    def _follow_real_cycle(self) -> None:
+        sys.setswitchinterval(0.001)  # other threads must not keep the interpreter from the loop
+        outbox = Outbox(self._session)
+        try:
+            while not self._ended:
+                self._listen()
+                self._cycle()
+                with self._backend_works():
+                    for frame in self._backend.take_frames():
+                        outbox.put(frame, self._backend.camera_info(frame.camera))
+                self._tell_news()
+        finally:
+            outbox.close()
+
+    def _tell_news(self) -> None:
+        if isinstance(self._backend, TellsNews):
+            for level, text in self._backend.news():
+                self._say(level, text)
 
     def _listen(self) -> None:
         """Take in commands and heartbeats; a heart that stopped stops the arm.
@@ -213,9 +240,7 @@ class Node:
         with self._backend_works():
             frames = tuple(self._backend.take_frames())
             for frame in frames:
-                self._session.publish_frame(frame)
-                info = replace(self._backend.camera_info(frame.camera), t=frame.t)
-                self._session.publish(self._session.keys.camera(frame.camera, "camera_info"), info)
+                publish_frame(self._session, frame, self._backend.camera_info(frame.camera))
         return frames
 
     def _samples(self, frames: tuple[Frame, ...]) -> StepReply:
@@ -245,6 +270,10 @@ class Node:
             handlers.append((keys.camera(camera, "capture"), Capture, guard.on_capture(camera)))
         if self._backend.steppable:
             handlers.append((keys.sim_truth, TruthRequest, self._on_truth))
+        elif isinstance(self._backend, KnowsTruth) and self._backend.truth is not None:
+            # from another process, which may take its time: the loop must not wait for it
+            truth = self._backend.truth
+            self._session.serve(keys.sim_truth, TruthRequest, lambda request: truth())
         if self._lock_step:
             handlers.append((keys.sim_step, StepRequest, self._on_step))
             handlers.append((keys.sim_reset, ResetRequest, self._on_reset))

@@ -126,4 +126,4 @@ def test_a_port_in_use_is_one_line_and_code_2() -> None:
 def test_an_unknown_backend_is_one_line_and_code_2() -> None:
     process = node("--backend", "magic")
     out, err = process.communicate(json.dumps(to_dict(own_port())) + "\n", timeout=30)
-    assert (process.returncode, out, err) == (2, "", "backend: got 'magic'; legal values: sim\n")
+    assert (process.returncode, out, err) == (2, "", "backend: got 'magic'; legal values: sim, ur3e\n")

@@ -1,0 +1,1 @@
+"""The real cell: a UR3e, its gripper, and its cameras."""
