@@ -10,6 +10,8 @@ from hil.emulator.interfaces import Program, Robot, RuntimeState
 _log = logging.getLogger("hil.emulator")
 _LONGEST_STOP = 3.0
 """A mover that never comes to rest does not keep a program from being called stopped [s]."""
+_SETTLING = 3
+"""Cycles in which a move that is held has come to rest."""
 _AT_REST = 1e-6
 """[rad/s]"""
 
@@ -27,6 +29,8 @@ class Runtime:
         self._next: Program | None = None
         self._start_at = 0.0
         self._stopping_since = 0.0
+        self._held = 0
+        """Cycles in which a pause has held motion entirely."""
         self.state = RuntimeState.STOPPED
         self.program: Program | None = None
 
@@ -61,7 +65,7 @@ class Runtime:
     def pause(self) -> bool:
         """Stand still on the path; False if nothing runs."""
         if self.state in (RuntimeState.PLAYING, RuntimeState.RESUMING):
-            self.state = RuntimeState.PAUSING
+            self.state, self._held = RuntimeState.PAUSING, 0
         return self.holding
 
     def resume(self) -> bool:
@@ -85,9 +89,11 @@ class Runtime:
             self.state = RuntimeState.PLAYING
             self._run(self.program, first=True)
         elif self.state is RuntimeState.PAUSING and held >= 1.0:
-            if self._moves():
+            self._held += 1
+            if self._held >= _SETTLING and self._moves():
                 robot.mover.halt()  # servo and speed commands are not slowed down by the ratio
-            self.state = RuntimeState.PAUSED
+            if self._held >= _SETTLING or not self._moves():
+                self.state = RuntimeState.PAUSED
         elif self.state is RuntimeState.RESUMING and held <= 0.0:
             self.state = RuntimeState.PLAYING
         if self.state is RuntimeState.PLAYING and self.program is not None:
