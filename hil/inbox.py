@@ -61,6 +61,11 @@ class Inbox:
         """Let a waiting `work` return. May be called from a signal handler."""
         self._jobs.put(None)
 
+    @property
+    def empty(self) -> bool:
+        """Nothing waits to be done."""
+        return self._jobs.empty()
+
     def work(self) -> None:
         """Wait for one job and do it."""
         self._do(self._jobs.get())

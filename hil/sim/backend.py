@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import warnings
+from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 
@@ -19,7 +21,7 @@ from cell.wire.types import (
     Truth,
 )
 from hil.sim.camera import Camera
-from hil.sim.render.renderer import Renderer, gl_problem, make_renderer
+from hil.sim.render.renderer import Image, Pending, Renderer, gl_problem, make_renderer
 from hil.sim.world import World
 
 _CONTACTS_KEPT = 20
@@ -48,6 +50,7 @@ class SimBackend:
         self._fingers_moving = False
         self._contacts: list[str] = []
         self._contact_ticks = 0
+        self._undrawn: deque[Exposure] = deque()
 
     # -- life cycle -----------------------------------------------------------------------------
 
@@ -71,6 +74,7 @@ class SimBackend:
         self._cameras = {name: Camera(name, camera, seed) for name, camera in self._config.cameras.items()}
         for camera in self._cameras.values():  # the first image compiles shaders: not in the loop
             self._renderer.render(camera.X_WC, camera.pinhole, camera.near, camera.far)
+        self._undrawn.clear()
         self._batch = 1
         self._fingers_moving = False
         self._contacts, self._contact_ticks = [], 0
@@ -105,6 +109,8 @@ class SimBackend:
         return self.world.gripper.command(width, speed, force)
 
     def command_light(self, signal: str) -> None:
+        if signal != self.world.signal:
+            self._draw_waiting()
         self.world.show(signal)
 
     def command_belt(self, onions: int, seed: int) -> None:
@@ -153,6 +159,13 @@ class SimBackend:
     def request_frame(self, camera: str) -> None:
         self._expose(self._camera(camera))
 
+    def prepare(self) -> bool:
+        """Draw or develop one exposure ahead of its time; False when there is none."""
+        if self._undrawn:
+            self._undrawn.popleft().start()
+            return True
+        return any(camera.prepare() for camera in self._cameras.values())
+
     def take_frames(self) -> list[Frame]:
         now = self.now()
         return [frame for camera in self._cameras.values() for frame in camera.due(now)]
@@ -181,10 +194,55 @@ class SimBackend:
         return self._cameras[name]
 
     def _expose(self, camera: Camera) -> None:
-        assert self._renderer is not None
-        self.world.refresh()
-        picture = self._renderer.submit(camera.X_WC, camera.pinhole, camera.near, camera.far)
+        """Take a frame. It is drawn when it is due, or earlier where `prepare` finds the time."""
+        renderer, world = self._renderer, self.world
+        assert renderer is not None
+        moment, stance = renderer.moment(), world.stance()
+
+        def draw() -> Pending:
+            world.refresh(stance)
+            return renderer.submit(camera.X_WC, camera.pinhole, camera.near, camera.far, moment)
+
+        picture = Exposure(draw)
+        if moment is None:
+            picture.start()
+        while self._undrawn and self._undrawn[0].started:
+            self._undrawn.popleft()
+        self._undrawn.append(picture)
         camera.expose(self.now(), picture)
+
+    def _draw_waiting(self) -> None:
+        """Draw what was exposed so far, before something changes that a moment does not keep."""
+        while self._undrawn:
+            self._undrawn.popleft().start()
+
+
+class Exposure:
+    """A picture that is drawn when somebody asks for it or finds the time.
+
+    Args:
+        draw: draws the scene as it was at the exposure.
+    """
+
+    def __init__(self, draw: Callable[[], Pending]) -> None:
+        self._draw: Callable[[], Pending] | None = draw
+        self._drawn: Pending | None = None
+
+    @property
+    def started(self) -> bool:
+        """It is being drawn, or is done."""
+        return self._draw is None
+
+    def start(self) -> None:
+        """Begin to draw, once."""
+        if self._draw is not None:
+            draw, self._draw = self._draw, None
+            self._drawn = draw()
+
+    def image(self) -> Image:
+        self.start()
+        assert self._drawn is not None
+        return self._drawn.image()
 
 
 def best_renderer() -> str:

@@ -150,6 +150,7 @@ class Camera:
         self._seed = (seed, zlib.crc32(name.encode()))
         self._periods = -1
         self._waiting: deque[tuple[int, float, Pending]] = deque()
+        self._ready: deque[Frame] = deque()
 
     def wants_exposure(self, now: float) -> bool:
         """True once per period of a free-running camera, at its first call in that period."""
@@ -166,11 +167,21 @@ class Camera:
         self.seq += 1
         self._waiting.append((self.seq, now, picture))
 
+    def prepare(self) -> bool:
+        """Make one frame that is not due yet; False when there is none to make."""
+        if not self._waiting:
+            return False
+        seq, t, picture = self._waiting.popleft()
+        rng = np.random.default_rng([*self._seed, seq])
+        self._ready.append(Frame(self.name, seq, t, *sense(picture.image(), self.config, rng)))
+        return True
+
     def due(self, now: float) -> list[Frame]:
         """Frames whose latency has passed at `now` [s], oldest first; each is returned once."""
+        exposed = now - self.config.latency + 1e-9
+        while self._waiting and self._waiting[0][1] <= exposed:
+            self.prepare()
         out = []
-        while self._waiting and self._waiting[0][1] + self.config.latency <= now + 1e-9:
-            seq, t, picture = self._waiting.popleft()
-            rng = np.random.default_rng([*self._seed, seq])
-            out.append(Frame(self.name, seq, t, *sense(picture.image(), self.config, rng)))
+        while self._ready and self._ready[0].t <= exposed:
+            out.append(self._ready.popleft())
         return out

@@ -25,6 +25,7 @@ from hil.sim.render.scene import Scene, Visual, add_urdf_visuals
 
 if TYPE_CHECKING:
     from hil.sim.person.presence import Presence
+    from hil.sim.person.stance import Stance
 
 LABELS = {"robot": 1, "belt": 2, "bin": 3, "post": 4, "floor": 5, "pedestal": 6, "person": 7, "light": 8}
 """Labels of the scene's parts; onion number i has label `ONION_LABEL + i`."""
@@ -109,10 +110,14 @@ class World:
         """Set the mode light."""
         self._light.show(signal)
 
-    def refresh(self) -> None:
-        """Bring the scene up to date with the person; call before a picture is taken."""
+    def stance(self) -> Stance | None:
+        """How the person stands now, for `refresh` later."""
+        return None if self.person is None else self.person.stance()
+
+    def refresh(self, stance: Stance | None = None) -> None:
+        """Bring the scene up to date with the person, now or as in `stance`, before it is drawn."""
         if self.person is not None:
-            self.person.refresh()
+            self.person.refresh(stance)
 
     def close(self) -> None:
         """Free the physics client; harmless when repeated."""

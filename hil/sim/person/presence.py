@@ -14,6 +14,7 @@ from hil.sim.person.persona import persona
 from hil.sim.person.reach import Pose, Poser
 from hil.sim.person.separation import RobotShape
 from hil.sim.person.sight import Sight
+from hil.sim.person.stance import Stance
 from hil.sim.person.texture import paint
 from hil.sim.physics import bullet
 from hil.sim.render.scene import Visual
@@ -57,7 +58,7 @@ class Presence:
         self._grip = np.zeros(3)
         self._X_HO = np.eye(4)
         self._ticks = 0
-        self._drawn = self._posed = -1.0
+        self._posed = -1.0
         self._pose: Pose
         skin = paint(self.body, who.look)
         self._handle = world.scene.add(
@@ -81,13 +82,13 @@ class Presence:
         if self._ticks % _CHECK == 0 and self._near(now) and self.separation() <= 0.0:
             self.contacts += _CHECK
 
-    def refresh(self) -> None:
-        """Bring the drawn mesh up to date; call before a picture is taken."""
-        now = self._world.time
-        if now == self._drawn:
-            return
-        self._drawn = now
-        at = self.pose()
+    def stance(self) -> Stance:
+        """How the person stands now."""
+        return self.agent.figure.stance(self._world.time)
+
+    def refresh(self, stance: Stance | None = None) -> None:
+        """Bring the drawn mesh to a stance, or to the present one, before it is drawn."""
+        at = self.pose() if stance is None else self.poser.pose(stance)
         vertices, normals = self.body.skin(at.G, at.p)
         self._world.scene.set_vertices(self._handle, vertices, normals)
 
@@ -95,7 +96,7 @@ class Presence:
         """All bones now."""
         now = self._world.time
         if now != self._posed:
-            self._posed, self._pose = now, self.poser.pose(self.agent.figure.stance(now))
+            self._posed, self._pose = now, self.poser.pose(self.stance())
         return self._pose
 
     # -- truth ---------------------------------------------------------------------------------------------

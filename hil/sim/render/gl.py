@@ -17,7 +17,7 @@ from cell.errors import RenderError
 from cell.frames import Array, Pinhole, inverse
 from hil.sim.render.bodies import LinkPoses
 from hil.sim.render.gl_batch import Batch, make_batches
-from hil.sim.render.renderer import Image, Lighting, Pending
+from hil.sim.render.renderer import Image, Lighting, Moment, Pending
 from hil.sim.render.scene import Scene
 from hil.sim.render.shaders import build_programs
 from hil.sim.render.shadow import shadow_from_world
@@ -67,11 +67,16 @@ class GlRenderer:
     def render(self, X_WC: Array, pinhole: Pinhole, near: float, far: float) -> Image:
         return self.submit(X_WC, pinhole, near, far).image()
 
-    def submit(self, X_WC: Array, pinhole: Pinhole, near: float, far: float) -> Pending:
+    def moment(self) -> Moment:
+        return self._poses.read(dict.fromkeys((v.body, v.link) for v in self._scene.visuals))
+
+    def submit(
+        self, X_WC: Array, pinhole: Pinhole, near: float, far: float, moment: Moment | None = None
+    ) -> Pending:
         if self._ctx is None:
             raise RenderError("the renderer is closed")
         with self._ctx:
-            self._follow_scene(inverse(X_WC), pinhole)
+            self._follow_scene(inverse(X_WC), pinhole, moment)
             self._set_uniforms(X_WC, pinhole, near, far)
             target = self._free_target(pinhole.width, pinhole.height)
             self._draw(target)
@@ -100,14 +105,14 @@ class GlRenderer:
 
     # -- scene ----------------------------------------------------------------------------------
 
-    def _follow_scene(self, X_CW: Array, pinhole: Pinhole) -> None:
+    def _follow_scene(self, X_CW: Array, pinhole: Pinhole, moment: Moment | None) -> None:
         if self._version != self._scene.version:
             for batch in self._batches:
                 batch.release()
             self._batches = make_batches(self._ctx, self._programs, self._scene)
             self._version = self._scene.version
             self._poses.forget()
-        poses = self._poses.read(dict.fromkeys(key for batch in self._batches for key in batch.keys))
+        poses = self.moment() if moment is None else moment
         centers, radii = [np.zeros((0, 3))], [np.zeros(0)]
         self._seen = []
         for batch in self._batches:

@@ -74,6 +74,10 @@ class Pending(Protocol):
         ...
 
 
+Moment = dict[tuple[int, int], Array]
+"""Poses X_WL (4, 4) of PyBullet's (body, link) at one time."""
+
+
 class Renderer(Protocol):
     """Draws the scene as an ideal pinhole camera sees it, following PyBullet's bodies.
 
@@ -93,8 +97,14 @@ class Renderer(Protocol):
         """
         ...
 
-    def submit(self, X_WC: Array, pinhole: Pinhole, near: float, far: float) -> Pending:
-        """As `render`, of the bodies where they are now, but without waiting for the picture."""
+    def submit(
+        self, X_WC: Array, pinhole: Pinhole, near: float, far: float, moment: Moment | None = None
+    ) -> Pending:
+        """As `render`, but without waiting for the picture; of the bodies where they were at `moment`."""
+        ...
+
+    def moment(self) -> Moment | None:
+        """Where all bodies are now, for a picture drawn later; None when it can only be drawn now."""
         ...
 
     def close(self) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cell.frames import Array, Pinhole, inverse
 from hil.sim.physics import bullet
-from hil.sim.render.renderer import Image, Lighting, Pending
+from hil.sim.render.renderer import Image, Lighting, Moment, Pending
 from hil.sim.render.scene import Scene
 
 _LINK_SHIFT = 24
@@ -64,8 +64,14 @@ class TinyRenderer:
         rgb[~seen] = np.round(255 * np.asarray(light.background)).astype(np.uint8)
         return Image(rgb, depth, self._labels(segments, seen), None)
 
-    def submit(self, X_WC: Array, pinhole: Pinhole, near: float, far: float) -> Pending:
+    def submit(
+        self, X_WC: Array, pinhole: Pinhole, near: float, far: float, moment: Moment | None = None
+    ) -> Pending:
+        del moment
         return self.render(X_WC, pinhole, near, far)
+
+    def moment(self) -> None:
+        """PyBullet draws its bodies where they are."""
 
     def close(self) -> None:
         """Nothing is held."""
