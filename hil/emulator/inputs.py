@@ -53,11 +53,12 @@ class Inputs:
             first = 0 if name.endswith("0_to_31") else 32
             return lambda value: _set_word(registers.in_bit, first, int(value))  # type: ignore[arg-type]
         stem, _, index = name.rpartition("_")
-        bank: dict[str, list[int] | list[float] | list[bool]] = {
-            "input_int_register": registers.in_int,
+        bank: dict[str, list[float] | list[bool]] = {
             "input_double_register": registers.in_double,
             "input_bit_register": registers.in_bit,
         }
+        if stem == "input_int_register":
+            return _counted(registers.in_int, registers.in_int_writes, int(index))
         if stem in bank:
             return _element(bank[stem], int(index))
         assert fields()[name].input, name
@@ -99,6 +100,14 @@ class Inputs:
 
 def _element(bank: Any, i: int) -> Setter:
     return lambda value: bank.__setitem__(i, value)
+
+
+def _counted(bank: Any, writes: list[int], i: int) -> Setter:
+    def set_it(value: Value) -> None:
+        bank[i] = value
+        writes[i] += 1
+
+    return set_it
 
 
 def _set_word(bits: list[bool], first: int, word: int) -> None:

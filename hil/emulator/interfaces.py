@@ -70,6 +70,8 @@ class Registers:
     out_int: list[int] = field(default_factory=lambda: [0] * 48)
     out_double: list[float] = field(default_factory=lambda: [0.0] * 48)
     out_bit: list[bool] = field(default_factory=lambda: [False] * 128)
+    in_int_writes: list[int] = field(default_factory=lambda: [0] * 48)
+    """How often each input integer was written, for the watchdog of programs."""
 
 
 @dataclass

@@ -92,8 +92,11 @@ class Move(Generic[T]):
         wanted = self._speed - b * DT
         if wanted <= 0.0:
             return 0.0
-        _, speed = self._run.law.at(self._t + DT * self._rate)
-        return min(self._rate, scaling, wanted / speed) if speed > 0.0 else 0.0
+        rate = self._rate
+        for _ in range(2):  # the speed that the law has then depends on the rate
+            _, speed = self._run.law.at(self._t + 0.5 * DT * (self._rate + rate))
+            rate = min(self._rate, scaling, wanted / speed) if speed > 0.0 else 0.0
+        return rate
 
     def _at(self, s: float) -> tuple[T, list[float]]:
         part = self._run.parts[self._part]

@@ -195,7 +195,7 @@ def _limits(leg: Leg, length: float, cap: float) -> tuple[float, float]:
     speed, acceleration = leg.speed, leg.acceleration
     if leg.duration > 0.0 and length > _SHORTEST:
         speed, acceleration = for_duration(length, acceleration, leg.duration)
-    if not (speed > 0.0 and acceleration > 0.0):
+    if not (0.0 < speed < math.inf and 0.0 < acceleration < math.inf):
         raise Trouble(f"a move needs a speed and an acceleration above 0, got {speed:g} and {acceleration:g}")
     return min(speed, cap), acceleration
 

@@ -1,0 +1,1 @@
+"""Script programs that the emulated controller knows how to run."""
