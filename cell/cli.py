@@ -12,7 +12,8 @@ from cell.errors import CellError, ConfigError, one_of
 from cell.learn import cli as learning
 
 BAD_INPUT, FAILED, INTERRUPTED = 2, 1, 130
-PERSONS = ("sim", "none")
+BACKENDS = ("sim", "ur3e")
+PERSONS = ("sim", "real", "none")
 
 app = typer.Typer(
     name="cell",
@@ -37,9 +38,15 @@ def _root(
 
 @app.command()
 def run(
-    backend: Annotated[str, typer.Option(help="What to drive: sim.")] = "sim",
+    backend: Annotated[str, typer.Option(help="What to drive: sim or ur3e.")] = "sim",
+    robot_ip: Annotated[str, typer.Option(help="Address of the real arm's controller.")] = "",
+    cameras: Annotated[
+        str, typer.Option(help="With ur3e: real, sim (of an emulated cell), or a recording.")
+    ] = "",
     policy: Annotated[str, typer.Option(help="Policy CSV, or the name of a shipped one.")] = "tb-decairl",
-    person: Annotated[str, typer.Option(help="Who works beside the robot: sim or none.")] = "sim",
+    person: Annotated[
+        str, typer.Option(help="Who works beside the robot: sim, real or none; as the cameras are.")
+    ] = "",
     persona: Annotated[str, typer.Option(help="Which simulated person: ana, bo, chen, dana or efe.")] = "ana",
     onions: Annotated[int, typer.Option(help="Onions in the batch (1 to 15).")] = 15,
     seed: Annotated[int, typer.Option(help="Seed of the batch.")] = 0,
@@ -57,10 +64,7 @@ def run(
     from cell.config import load
     from cell.decision.policy import load as load_policy
 
-    if backend != "sim":
-        raise ConfigError(f"--backend: {one_of(backend, ['sim'])}")
-    if person not in PERSONS:
-        raise ConfigError(f"--person: {one_of(person, PERSONS)}")
+    cameras, person = _surroundings(backend, robot_ip, cameras, person, headless)
     if not 1 <= onions <= 15:
         raise ConfigError(f"--onions must be from 1 to 15, got {onions}")
     if not 0 <= seed < 2**63:
@@ -76,13 +80,25 @@ def run(
         check_target(record)
     cell_config = load(config)
     table = load_policy(policy)
+    if backend == "ur3e":
+        from hil.ur3e.checks import check_reachable, robot_address
+
+        check_reachable(robot_address(cell_config, robot_ip))  # before anything slow is started
 
     from cell.run.display import Progress, summary
-    from cell.run.round import RoundOptions, run_round
+    from cell.run.round import REAL_PERSON, RoundOptions, run_round
 
     console = Console(stderr=True)
-    who = persona if person == "sim" else ""
-    options = RoundOptions(backend, lock_step=headless, seed=seed, onions=onions, record=record, person=who)
+    options = RoundOptions(
+        backend,
+        lock_step=headless,
+        seed=seed,
+        onions=onions,
+        record=record,
+        person={"sim": persona, "real": REAL_PERSON, "none": ""}[person],
+        robot_ip=robot_ip,
+        cameras=cameras,
+    )
     try:
         with Progress(console, onions, cell_config.gripper.length) as progress:
             result = run_round(cell_config, table, options, progress)
@@ -95,6 +111,52 @@ def run(
     raise typer.Exit(0 if result.succeeded else FAILED)
 
 
+@app.command()
+def emulate(
+    listen: Annotated[str, typer.Option(help="Address to serve on, with the true ports.")] = "127.0.0.2",
+    model: Annotated[str, typer.Option(help="The arm: ur3e or ur5e.")] = "ur3e",
+    persona: Annotated[str, typer.Option(help="Who works in the simulated cell, or none.")] = "ana",
+    onions: Annotated[int, typer.Option(help="Onions in the first batch (0 to 15).")] = 15,
+    seed: Annotated[int, typer.Option(help="Seed of the batch, the person and the faults.")] = 0,
+    fault: Annotated[list[str] | None, typer.Option(help="kind[:key=value,...]; may be repeated.")] = None,
+    running: Annotated[bool, typer.Option("--running/--powered-off", help="State at the start.")] = True,
+    bare: Annotated[bool, typer.Option("--bare", help="No cell around the arm.")] = False,
+    config: Annotated[Path | None, typer.Option(help="Cell description laid over the shipped one.")] = None,
+) -> None:
+    """Run an emulated UR controller on its true ports, for tests without a robot (docs/emulator.md)."""
+    from cell.config import load
+    from hil.emulator.run import EmulateOptions, emulate
+
+    who = "" if persona == "none" else persona
+    options = EmulateOptions(listen, model, seed, onions, who, tuple(fault or ()), running, bare)
+    emulate(load(config), options, lambda line: print(f"cell: {line}", flush=True))
+
+
+def _surroundings(backend: str, robot_ip: str, cameras: str, person: str, headless: bool) -> tuple[str, str]:
+    """(cameras, person) with what follows from one another filled in; raises `ConfigError`."""
+    if backend not in BACKENDS:
+        raise ConfigError(f"--backend: {one_of(backend, BACKENDS)}")
+    if person and person not in PERSONS:
+        raise ConfigError(f"--person: {one_of(person, PERSONS)}")
+    if backend == "sim":
+        if robot_ip or cameras not in ("", "sim"):
+            raise ConfigError("--robot-ip and --cameras belong to --backend ur3e; the simulation has its own")
+        if person == "real":
+            raise ConfigError("--person real needs real cameras (--backend ur3e)")
+        return "", person or "sim"
+    if headless:
+        raise ConfigError("--headless: a real arm has a clock of its own and cannot run in lock-step")
+    cameras = cameras or "real"
+    if cameras not in ("real", "sim") and not Path(cameras).exists():
+        raise ConfigError(f"--cameras: {one_of(cameras, ['sim', 'real', 'a recording that exists'])}")
+    person = person or ("sim" if cameras == "sim" else "real")
+    if (person == "sim") != (cameras == "sim") and person != "none":
+        raise ConfigError(
+            f"--person {person} does not go with --cameras {cameras}: they are sim or real together"
+        )
+    return cameras, person
+
+
 app.add_typer(learning.train, name="train")
 app.command()(learning.evaluate)
 app.command()(learning.report)
@@ -103,11 +165,36 @@ app.command()(learning.report)
 @app.command()
 def doctor(
     config: Annotated[Path | None, typer.Option(help="Cell description laid over the shipped one.")] = None,
+    robot_ip: Annotated[str, typer.Option(help="Also look at the controller at this address.")] = "",
 ) -> None:
-    """Say what this machine lacks."""
+    """Say what this machine lacks, and what the robot's controller does."""
     from cell.doctor import examine
 
-    raise typer.Exit(0 if examine(config, renderer_problem=_renderer_problem) else FAILED)
+    robot = (lambda: _robot_rows(robot_ip)) if robot_ip else None
+    raise typer.Exit(0 if examine(config, renderer_problem=_renderer_problem, robot=robot) else FAILED)
+
+
+@app.command()
+def recover(
+    robot_ip: Annotated[str, typer.Option(help="Address of the controller.")] = "",
+    config: Annotated[Path | None, typer.Option(help="Cell description laid over the shipped one.")] = None,
+) -> None:
+    """Bring the real arm back after a stop, step by step; starts no motion.
+
+    Exit code 0: the robot is ready; 1: it is not, and the last line says why; 2: nobody answers.
+    """
+    from cell.config import load
+    from hil.ur3e.checks import robot_address
+    from hil.ur3e.recover import recover as recover_robot
+
+    address = robot_address(load(config), robot_ip)
+    raise typer.Exit(recover_robot(address, lambda text: print(text, flush=True)))
+
+
+def _robot_rows(robot_ip: str) -> list[tuple[str, str, str]]:
+    from hil.ur3e.recover import look
+
+    return look(robot_ip)
 
 
 def _renderer_problem() -> str:

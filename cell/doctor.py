@@ -15,12 +15,17 @@ from cell.config import CellConfig, load
 from cell.errors import CellError
 
 
-def examine(config_path: Path | None, renderer_problem: Callable[[], str]) -> bool:
+def examine(
+    config_path: Path | None,
+    renderer_problem: Callable[[], str],
+    robot: Callable[[], list[tuple[str, str, str]]] | None = None,
+) -> bool:
     """Print one line per check; True when nothing that `cell run` needs is missing.
 
     Args:
         config_path: cell description to check, or None for the shipped one.
         renderer_problem: returns why the fast renderer cannot work, empty when it can.
+        robot: looks at the robot's controller; returns (name, problem, note) per check.
     """
     console = Console(highlight=False)
     good = True
@@ -66,6 +71,8 @@ def examine(config_path: Path | None, renderer_problem: Callable[[], str]) -> bo
         "EGL works",
         needed=False,
     )
+    for name, problem, note in robot() if robot is not None else []:
+        report(name, problem, note)
     return good
 
 

@@ -33,12 +33,22 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--onions", type=int, default=15)
     parser.add_argument("--person", default="", help="persona of the simulated person; empty: nobody")
+    parser.add_argument("--robot-ip", default="", help="address of the real arm's controller")
+    parser.add_argument("--cameras", default="", help="of the real arm: real, sim, or a recording")
     args = parser.parse_args()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the supervisor's to handle
     warnings.showwarning = lambda message, *_: print(f"warning: {message}", file=sys.stderr)
     try:
         config = _read_config()
-        backend = make_backend(args.backend, config, seed=args.seed, onions=args.onions, person=args.person)
+        backend = make_backend(
+            args.backend,
+            config,
+            seed=args.seed,
+            onions=args.onions,
+            person=args.person,
+            robot_ip=args.robot_ip,
+            cameras=args.cameras,
+        )
         with Session.listen(config, patient=args.lock_step) as session:  # a port in use shows at once
             try:
                 backend.connect()

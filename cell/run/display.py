@@ -88,7 +88,10 @@ def summary(console: Console, result: RoundResult) -> None:
     speed = result.max_tcp_speed_m_s
     rows = [
         ("sorted", f"{result.sorted} of {result.onions}"),
-        ("misplaced / dropped", f"{result.misplaced} / {result.dropped}"),
+        (
+            "misplaced / dropped",
+            "not known" if result.dropped is None else f"{result.misplaced} / {result.dropped}",
+        ),
         (
             "sort time",
             f"{result.sort_time_s:.1f} s ({result.sort_time_s / max(result.sorted, 1):.1f} s an onion)",

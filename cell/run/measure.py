@@ -135,4 +135,5 @@ class Meter:
         state = codec.decode(JointState, sample.payload)
         with self._lock:
             self.lost += sample.missed
-            self._samples.append(state)
+            if not self._samples or state.t > self._samples[-1].t:  # a real arm may have nothing new to say
+                self._samples.append(state)

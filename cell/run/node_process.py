@@ -36,11 +36,13 @@ class NodeProcess:
         seed: int,
         onions: int,
         person: str = "",
+        robot_ip: str = "",
+        cameras: str = "",
     ) -> None:
         command = [sys.executable, "-m", "hil", "--backend", backend]
         command += ["--seed", str(seed), "--onions", str(onions)]
-        if person:
-            command += ["--person", person]
+        for option, value in (("--person", person), ("--robot-ip", robot_ip), ("--cameras", cameras)):
+            command += [option, value] if value else []
         if lock_step:
             command.append("--lock-step")
         self._process = subprocess.Popen(

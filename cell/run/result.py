@@ -14,7 +14,11 @@ from cell.wire.types import Truth
 
 @dataclass(frozen=True)
 class RoundResult:
-    """One round; field names are the JSON contract. Times [s], speeds [m/s], distances [m]."""
+    """One round; field names are the JSON contract. Times [s], speeds [m/s], distances [m].
+
+    Where nobody knows what really became of the onions, by_human, misplaced and dropped are None, and
+    `sorted` counts what the robot sorted and what the person was seen to sort.
+    """
 
     backend: str
     policy: str
@@ -23,9 +27,9 @@ class RoundResult:
     onions: int
     sorted: int
     by_robot: int
-    by_human: int
-    misplaced: int
-    dropped: int
+    by_human: int | None
+    misplaced: int | None
+    dropped: int | None
     sort_time_s: float
     mode_switches: int
     industrial_s: float
@@ -36,18 +40,18 @@ class RoundResult:
     commit: str
     version: str
     failure: str = ""
-    arm_contacts: int = 0
+    arm_contacts: int | None = 0
     joint_states_lost: int = 0
     joint_limits: dict[str, float] = field(default_factory=dict)
     sha256: dict[str, str] = field(default_factory=dict)
     misses: tuple[str, ...] = ()
     yields: int = 0
-    person_contacts: int = 0
+    person_contacts: int | None = 0
 
     @property
     def succeeded(self) -> bool:
-        """The round completed with every onion handled and nothing dropped."""
-        return not self.failure and self.dropped == 0 and self.sorted >= self.onions
+        """The round completed with every onion handled and nothing dropped, as far as is known."""
+        return not self.failure and not self.dropped and self.sorted >= self.onions
 
     def write(self, path: Path) -> None:
         """Write the JSON file; raises `ConfigError` when the place cannot be written."""

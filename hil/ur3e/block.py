@@ -96,6 +96,7 @@ class Block:
         self._memory, self._offset, self._layout = memory, offset, layout
         self._slot = _HEAD.size + layout.size
         self._count = 0
+        self._last: tuple[int, tuple[float, ...]] | None = None
 
     @staticmethod
     def size(layout: struct.Struct) -> int:
@@ -112,7 +113,7 @@ class Block:
         _HEAD.pack_into(self._memory, at, self._count, _check(self._count, data))
 
     def read(self) -> tuple[int, tuple[float, ...]] | None:
-        """(count, values) of the newest whole slot; None while there is none."""
+        """(count, values) of the newest whole slot, never older than before; None while there is none."""
         best: tuple[int, bytes] | None = None
         for slot in range(_SLOTS):
             at = self._at(slot)
@@ -120,7 +121,9 @@ class Block:
             data = self._memory[at + _HEAD.size : at + self._slot]
             if count and check == _check(count, data) and (best is None or count > best[0]):
                 best = count, data
-        return None if best is None else (best[0], self._layout.unpack(best[1]))
+        if best is not None and (self._last is None or best[0] > self._last[0]):
+            self._last = best[0], self._layout.unpack(best[1])
+        return self._last
 
     def _at(self, count: int) -> int:
         return self._offset + (count % _SLOTS) * self._slot
@@ -211,4 +214,4 @@ def _six(v: tuple[float, ...], at: int) -> Six:
 
 
 def _check(count: int, data: bytes) -> int:
-    return zlib.crc32(data, count & 0xFFFFFFFF)
+    return zlib.crc32(data, zlib.crc32(count.to_bytes(8, "little")))

@@ -36,13 +36,19 @@ def robot_address(config: CellConfig, robot_ip: str) -> str:
 
 
 def check_reachable(robot_ip: str) -> None:
-    """Raise `BackendError` unless all ports answer in time."""
+    """Raise `BackendError` unless a controller answers on all ports in time."""
+    hint = (
+        "is the controller on, is the address right (pendant: Settings > System > Network), and are both in "
+        "the same network?"
+    )
     for port, what in PORTS.items():
         if problem := port_problem(robot_ip, port):
-            raise BackendError(
-                f"no robot answers at {robot_ip}:{port} ({what}): {problem}; is the controller on, is the "
-                "address right (pendant: Settings > System > Network), and are both in the same network?"
-            )
+            raise BackendError(f"no robot answers at {robot_ip}:{port} ({what}): {problem}; {hint}")
+        if port == DASHBOARD:
+            try:
+                Dashboard(robot_ip, REACH_TIME).close()
+            except BackendError as error:
+                raise BackendError(f"{error}; {hint}") from None
 
 
 def port_problem(robot_ip: str, port: int) -> str:

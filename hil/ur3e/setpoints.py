@@ -9,6 +9,7 @@ is not noticed at all.
 from __future__ import annotations
 
 import math
+from collections import deque
 
 from hil.ur3e.block import Six
 
@@ -19,6 +20,8 @@ _START_TOLERANCE = 0.02
 _SPEED_TOLERANCE = 1.1
 _SLACK = 2e-3
 """For rounding and for braking on the path [rad]."""
+_KEPT = 6
+"""Set-points that are remembered: those still to be played, also after a burst."""
 
 
 class SetPoints:
@@ -38,11 +41,7 @@ class SetPoints:
     def clear(self) -> None:
         """Forget all: the next one is a first one."""
         self.newest = -math.inf
-        self._t0 = 0.0
-        self._q0: Six | None = None
-        self._qd0: Six = (0.0,) * 6
-        self._q1: Six = (0.0,) * 6
-        self._qd1: Six = (0.0,) * 6
+        self._points: deque[tuple[float, Six, Six]] = deque(maxlen=_KEPT)
 
     def push(self, t: float, q: Six, qd: Six, measured: Six) -> str:
         """Take in a set-point to be reached at `t` [s]; what makes it implausible, else empty.
@@ -57,43 +56,45 @@ class SetPoints:
                 return f"joint {i + 1} is told to go to {q[i]:.3f} rad"
             if abs(qd[i]) > _SPEED_TOLERANCE * self._qd_max[i]:
                 return f"joint {i + 1} is told to move at {qd[i]:.2f} rad/s"
-        if self._q0 is None:
+        if not self._points:
             gap = max(abs(a - b) for a, b in zip(q, measured, strict=True))
             if gap > _START_TOLERANCE:
                 return f"the first set-point lies {gap:.3f} rad away from the joints"
-            self._t0, self._q0, self._qd0 = t, q, qd
         elif t <= self.newest:
             return ""  # the same one again
         else:
-            elapsed = t - self.newest
+            elapsed, before = t - self.newest, self._points[-1][1]
             for i in range(6):
-                jump = abs(q[i] - self._q1[i])
+                jump = abs(q[i] - before[i])
                 if jump > _SPEED_TOLERANCE * self._qd_max[i] * elapsed + _SLACK:
                     return f"joint {i + 1} is told to jump by {jump:.3f} rad in {elapsed * 1e3:.0f} ms"
-            self._t0, self._q0, self._qd0 = self.newest, self._q1, self._qd1
-        self.newest, self._q1, self._qd1 = t, q, qd
+        self.newest = t
+        self._points.append((t, q, qd))
         return ""
 
     def at(self, t: float) -> Six:
         """Joints [rad] at `t` [s]; raises ValueError before the first set-point."""
-        if self._q0 is None:
+        if not self._points:
             raise ValueError("there is no set-point yet")
         t -= PLAY_DELAY
-        if t >= self.newest:
-            ahead = t - self.newest
-            a, b, c, d, e, f = self._q1
-            va, vb, vc, vd, ve, vf = self._qd1
-            return (
-                a + va * ahead, b + vb * ahead, c + vc * ahead, d + vd * ahead, e + ve * ahead, f + vf * ahead
-            )  # fmt: skip
-        if t <= self._t0:
-            return self._q0
-        h = self.newest - self._t0
-        s = (t - self._t0) / h
-        w1 = s * s * (3.0 - 2.0 * s)
-        w0 = 1.0 - w1
-        m0 = h * s * (1.0 - s) * (1.0 - s)
-        m1 = h * s * s * (s - 1.0)
-        p0, p1, v0, v1 = self._q0, self._q1, self._qd0, self._qd1
-        q = [w0 * p0[i] + w1 * p1[i] + m0 * v0[i] + m1 * v1[i] for i in range(6)]
-        return q[0], q[1], q[2], q[3], q[4], q[5]
+        t1, p1, v1 = self._points[-1]
+        if t >= t1:
+            ahead = t - t1
+            return _six([p1[i] + v1[i] * ahead for i in range(6)])
+        for k in range(len(self._points) - 2, -1, -1):
+            t0, p0, v0 = self._points[k]
+            if t >= t0:
+                h = t1 - t0
+                s = (t - t0) / h
+                w1 = s * s * (3.0 - 2.0 * s)
+                w0 = 1.0 - w1
+                m0 = h * s * (1.0 - s) * (1.0 - s)
+                m1 = h * s * s * (s - 1.0)
+                return _six([w0 * p0[i] + w1 * p1[i] + m0 * v0[i] + m1 * v1[i] for i in range(6)])
+            t1, p1, v1 = t0, p0, v0
+        return p1
+
+
+def _six(values: list[float]) -> Six:
+    a, b, c, d, e, f = values
+    return a, b, c, d, e, f
