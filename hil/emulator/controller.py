@@ -26,6 +26,7 @@ from hil.emulator.interfaces import (
 )
 from hil.emulator.models import Model
 from hil.emulator.observed import Observed, Ratio
+from hil.emulator.pendant import Pendant
 from hil.emulator.power import Durations, Power
 from hil.emulator.runtime import Runtime
 from hil.emulator.safety import POWER_CUT, Safety, SafetyIo
@@ -86,11 +87,10 @@ class Controller:
         self.speed_scaling = 0.0
         self.now, self.cycles, self.execution_time = 0.0, 0, 0.0
         self.remote_control, self.version = True, VERSION
-        self.loaded, self.popup, self.operational_mode = "", "", "NONE"
+        self.loaded, self.pendant = "", Pendant()
         self.listeners: list[Callable[[str, int], None]] = []
         self._power_up = power_up
-        self._safety_before = self.safety.mode
-        self._mode_before = self.power.mode
+        self._safety_before, self._mode_before = self.safety.mode, self.power.mode
         self._paused_by_safeguard = False
         self._cut_at: float | None = None
         self._told_payload, self._told_outputs = self.payload, self.io.digital_out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 
 from cell.errors import CellError
 from hil.emulator.interfaces import Program, Robot, RuntimeState
@@ -22,6 +23,7 @@ class Runtime:
     Attributes:
         state: RTDE `runtime_state`.
         program: the one that runs, or ran last.
+        listeners: told (name, True) when a program starts, (name, False) when it has ended.
     """
 
     def __init__(self, robot: Robot, start_delay: float) -> None:
@@ -33,6 +35,7 @@ class Runtime:
         """Cycles in which a pause has held motion entirely."""
         self.state = RuntimeState.STOPPED
         self.program: Program | None = None
+        self.listeners: list[Callable[[str, bool], None]] = []
 
     @property
     def active(self) -> bool:
@@ -84,9 +87,11 @@ class Runtime:
         robot = self._robot
         if self.state is RuntimeState.STOPPING and self._rests():
             self.state = RuntimeState.STOPPED
+            self._tell(False)
         if self.state is RuntimeState.STOPPED and self._next is not None and robot.now >= self._start_at:
             self.program, self._next = self._next, None
             self.state = RuntimeState.PLAYING
+            self._tell(True)
             self._run(self.program, first=True)
         elif self.state is RuntimeState.PAUSING and held >= 1.0:
             self._held += 1
@@ -121,6 +126,10 @@ class Runtime:
     def _end(self) -> None:
         self.state, self._stopping_since = RuntimeState.STOPPING, self._robot.now
         self._robot.mover.halt()
+
+    def _tell(self, started: bool) -> None:
+        for listener in self.listeners:
+            listener(self.program.name if self.program is not None else "", started)
 
     def _moves(self) -> bool:
         return float(abs(self._robot.mover.qd).max()) > _AT_REST

@@ -213,7 +213,7 @@ def test_protective_stop_kills_the_program_and_waits_five_seconds() -> None:
     [
         (lambda rig: rig.mover.push(np.array([0, 0, 0, 0, 0, 6.5])), "Joint 5 speed limit"),
         (lambda rig: setattr(rig.mover, "trouble", "pose out of reach"), "pose out of reach"),
-        (lambda rig: setattr(rig.mover, "q", HOME + [7.0, 0, 0, 0, 0, 0]), "Joint 0 position limit"),
+        (lambda rig: setattr(rig.mover, "q", HOME + np.eye(6)[0] * 7.0), "Joint 0 position limit"),
         (lambda rig: setattr(rig.mover, "q", HOME * np.nan), "Joint 0 position limit"),
         (lambda rig: setattr(rig.plant, "blocked", True), "something is in the way"),
     ],

@@ -27,7 +27,7 @@ class Dashboard:
         self._plain |= {
             "close popup": self._close_popup,
             "savelog": lambda: "Log saved to disk",
-            "get operational mode": lambda: controller.operational_mode,
+            "get operational mode": lambda: controller.pendant.operational_mode,
             "clear operational mode": self._clear_operational_mode,
             "getuserrole": lambda: "PROGRAMMER",
         }
@@ -143,11 +143,11 @@ class Dashboard:
     # -- the rest ---------------------------------------------------------------------------------
 
     def _popup(self, text: str) -> str:
-        self._c.popup = text
+        self._c.pendant.show(text)
         return "showing popup"
 
     def _close_popup(self) -> str:
-        self._c.popup = ""
+        self._c.pendant.close()
         return "closing popup"
 
     def _add_to_log(self, text: str) -> str:
@@ -157,11 +157,11 @@ class Dashboard:
     def _set_operational_mode(self, mode: str) -> str:
         if mode.lower() not in _MODES:
             return f"could not understand: 'set operational mode {mode}'"
-        self._c.operational_mode = mode.upper()
+        self._c.pendant.operational_mode = mode.upper()
         return f"Setting operational mode: {mode.upper()}"
 
     def _clear_operational_mode(self) -> str:
-        self._c.operational_mode = "NONE"
+        self._c.pendant.operational_mode = "NONE"
         return "No longer controlling the operational mode"
 
 

@@ -30,6 +30,8 @@ class Primary:
         self._speakers: set[ScriptSpeaker] = set()
         if messages:
             controller.listeners.append(self._tell)
+            controller.pendant.listeners.append(self._show)
+            controller.runtime.listeners.append(self._tell_program)
 
     def welcome(self, connection: Connection) -> ScriptSpeaker:
         """A new client's speaker. It gets the version, then a state at once."""
@@ -47,14 +49,22 @@ class Primary:
         return self._cached[1]
 
     def _tell(self, text: str, level: int) -> None:
-        if not self._speakers:
-            return
         if level == _EXCEPTION:
             packet = packets.exception_message(self._c, text)
         elif level == _ERROR:
             packet = packets.error_message(self._c, 0, 3, text)
         else:
             packet = packets.text_message(self._c, text)
+        self._send(packet)
+
+    def _tell_program(self, name: str, started: bool) -> None:
+        title = "PROGRAM_XXX_STARTED" if started else "PROGRAM_XXX_STOPPED"
+        self._send(packets.key_message(self._c, title, name))
+
+    def _show(self, text: str) -> None:
+        self._send(packets.popup_message(self._c, "Popup", text))
+
+    def _send(self, packet: bytes) -> None:
         for speaker in self._speakers:
             speaker.send(packet)
 

@@ -67,6 +67,10 @@ def take_script(text: str, peer: str, controller: Controller) -> None:
         controller.power_on()
     elif words == ["power", "off"]:
         controller.power_off()
+    elif words == ["set", "unlock", "protective", "stop"]:
+        refusal = controller.unlock_protective_stop()
+        if refusal:
+            controller.message(refusal, 2)
     elif words[:1] == ["sec"]:
         controller.message("Script refused: secondary programs are not supported", 1)
     else:
