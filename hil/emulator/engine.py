@@ -9,7 +9,7 @@ import numpy as np
 
 from cell.frames import Array
 from hil.emulator.interfaces import ZERO6, Measured, MoverLike
-from hil.emulator.kinematics import Kinematics
+from hil.emulator.kinematics import Kinematics, tool_speed
 from hil.emulator.models import Model
 from hil.emulator.motion import DT, HARD, SOFT, Motion, Trouble, advance
 from hil.emulator.motion.compliant import ForceMode, Freedrive
@@ -107,6 +107,11 @@ class Engine(MoverLike):
         if not all(map(math.isfinite, (*pose, *seed))):
             return None
         return self.kinematics.ik([float(v) for v in pose], self.tcp, seed)
+
+    def tool_velocity(self, measured: Measured) -> list[float]:
+        """Measured twist of the TCP, axes of B [m/s], [rad/s]."""
+        _, J = self.kinematics.jacobian(measured.q.tolist(), self._tool)
+        return tool_speed(J, measured.qd.tolist())
 
     # -- stops ------------------------------------------------------------------------------------
 

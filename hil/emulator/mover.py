@@ -94,9 +94,9 @@ class Mover(Engine):
         self._motion.command(six(xd), positive("the acceleration", a), t)
 
     def spline(self, q: Six, qd: Six, qdd: Six | None, t: float, last: bool) -> None:
-        """Append a point to the joint spline, or begin one from rest; see `Spline.append`."""
+        """Append a point to the joint spline, or begin one; see `Spline.append`."""
         if not isinstance(self._motion, Spline):
-            self._start(Spline(self._q))
+            self._start(Spline(self._q, self._qd))
         assert isinstance(self._motion, Spline)
         self._motion.append(six(q), six(qd), None if qdd is None else six(qdd), t, last)
 

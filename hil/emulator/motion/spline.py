@@ -31,15 +31,16 @@ class Spline:
     """Cubic or quintic polynomials in time, which the speed slider stretches.
 
     Args:
-        q: where it starts from [rad], at rest.
+        q, qd: where it starts from [rad], [rad/s].
     """
 
     checked = False
 
-    def __init__(self, q: Sequence[float]) -> None:
-        self._end, self._speed, self._bend = list(q), [0.0] * 6, [0.0] * 6
+    def __init__(self, q: Sequence[float], qd: Sequence[float]) -> None:
+        self._end, self._speed, self._bend = list(q), list(qd), [0.0] * 6
         self._segments: list[_Segment] = []
-        self._t = self._rate = self._total = 0.0
+        self._t = self._total = 0.0
+        self._rate = 1.0 if any(qd) else 0.0
         self._slow: float | None = None
 
     @property

@@ -238,7 +238,7 @@ def _contact_thread(s: Script, direction: list[float]) -> Wait:
     along_motion = sum(direction) < 1e-10  # the script's own test of a null vector
 
     def steps() -> int:
-        return s.mover.memory.contact(_tool_velocity(s) if along_motion else direction)
+        return s.mover.memory.contact(s.mover.tool_velocity(s.robot.measured) if along_motion else direction)
 
     while steps() > 0:
         yield
@@ -267,12 +267,6 @@ def teach_mode(s: Script) -> None:
 
 def end_freedrive(s: Script) -> None:
     s.mover.stopj(4.0)
-
-
-def _tool_velocity(s: Script) -> list[float]:
-    _, J = s.mover.kinematics.jacobian(s.robot.mover.q.tolist(), frame_of(s.robot.tcp.tolist()))
-    twist: list[float] = (J @ s.robot.mover.qd).tolist()
-    return twist
 
 
 MOTION: Mapping[int, Command] = {
