@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from cell.config import CellConfig, load
+from cell.decision.belief import make_belief
+from cell.decision.companion import Companion
 from cell.decision.io import Inputs, Outputs
 from cell.decision.policy import PolicyTable
 from cell.decision.supervisor import Supervisor
@@ -15,7 +17,8 @@ from cell.motion.planner import Planner
 from cell.motion.views import InspectionViews
 from cell.perception.detector import Detector
 from cell.perception.look import OnionDetector
-from cell.wire.types import Capture, GripperCommand, Reply, Trajectory
+from cell.perception.person import PersonEye
+from cell.wire.types import Capture, GripperCommand, LightCommand, Reply, Trajectory
 from hil.executor import Executor
 from hil.sim.backend import SimBackend
 
@@ -31,17 +34,23 @@ def drive(
     detector: OnionDetector | None = None,
     watch: Watch | None = None,
     on_start: Callable[[type], None] | None = None,
+    person: str = "",
 ) -> tuple[SimBackend, Outputs]:
     """Sort one batch; returns the backend (still connected) and the last outputs.
 
     Args:
         watch: called after every tick. on_start: called with the renderer's class when all is built.
+        person: persona of who works beside the robot; empty: nobody.
     """
     config = config or load()
-    backend = SimBackend(config, seed, onions)
+    backend = SimBackend(config, seed, onions, person)
     backend.connect()
+    planner, companion = Planner(config), None
+    if person:
+        belief = make_belief(config.supervisor.belief)
+        companion = Companion(config, PersonEye(config), belief, planner.collision)
     supervisor = Supervisor(
-        config, policy, Planner(config), InspectionViews(config), detector or Detector(), "test"
+        config, policy, planner, InspectionViews(config), detector or Detector(), "test", companion
     )
     executor = Executor(Limits.from_config(config), config.arm.control_period, backend.read_joints().q)
     if on_start is not None:
@@ -82,6 +91,8 @@ def _obey(backend: SimBackend, executor: Executor, order: object, camera: str) -
             executor.accept(order, backend.now(), backend.read_joints().q)
         elif isinstance(order, GripperCommand):
             backend.command_gripper(order.width, order.speed, order.force)
+        elif isinstance(order, LightCommand):
+            backend.command_light(order.signal)
         elif isinstance(order, Capture):
             backend.request_frame(camera)
     except RefusedError as error:
