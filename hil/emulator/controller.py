@@ -6,7 +6,7 @@ Servers read its state and call its methods; it knows none of them, and no wall 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 
@@ -45,7 +45,7 @@ class Controller:
 
     Args:
         recognise: (text, peer "host:port") -> the program to run for it; raises CellError.
-        programs: texts that `load` finds, by file name.
+        find: (file name, client's host) -> the program in a file; raises CellError. None: no files.
         power_up: power on and release the brakes after booting.
 
     Attributes:
@@ -67,11 +67,11 @@ class Controller:
         *,
         durations: Durations | None = None,
         safety_io: SafetyIo | None = None,
-        programs: Mapping[str, str] | None = None,
+        find: Callable[[str, str], Program] | None = None,
         power_up: bool = False,
     ) -> None:
         self._durations = durations or Durations()
-        self._plant, self._recognise, self._programs = plant, recognise, dict(programs or {})
+        self._plant, self._recognise, self._find = plant, recognise, find
         self.model, self.mover = model, mover
         self.registers, self.io = Registers(), Io()
         self.power = Power(self._durations)
@@ -87,7 +87,7 @@ class Controller:
         self.speed_scaling = 0.0
         self.now, self.cycles, self.execution_time = 0.0, 0, 0.0
         self.remote_control, self.version = True, VERSION
-        self.loaded, self.pendant = "", Pendant()
+        self.loaded, self._loaded_for, self.pendant = "", "", Pendant()
         self.listeners: list[Callable[[str, int], None]] = []
         self._power_up = power_up
         self._safety_before, self._mode_before = self.safety.mode, self.power.mode
@@ -125,11 +125,6 @@ class Controller:
     @property
     def safety_status_bits(self) -> int:
         return self.safety.bits
-
-    @property
-    def scaling_of_slider(self) -> float:
-        """RTDE `speed_scaling`: its product with the slider's fraction is the actual ratio."""
-        return min(1.0, self.speed_scaling / self.io.speed_slider)
 
     def steady(self) -> bool:
         return self.observed.steady(self.now)
@@ -284,6 +279,29 @@ class Controller:
 
     def upload(self, text: str, peer: str) -> bool:
         """Run this script instead of what runs now; False, and a message, if that cannot be."""
+        return self._run(lambda: self._recognise(text, peer))
+
+    def load(self, name: str, host: str) -> bool:
+        """Choose the file that `play` runs, for a client at `host`; False if there is none."""
+        try:
+            found = self._find is not None and bool(self._find(name, host).name)
+        except CellError as error:
+            return self._refuse(str(error))
+        if found:
+            self.runtime.stop()
+            self.loaded, self._loaded_for = name, host
+        return found
+
+    def play(self) -> bool:
+        """Resume a paused program, or start the loaded one."""
+        if self.runtime.holding and not self.safety.stopped:
+            return self.runtime.resume()
+        find = self._find
+        return (
+            bool(self.loaded) and find is not None and self._run(lambda: find(self.loaded, self._loaded_for))
+        )
+
+    def _run(self, make: Callable[[], Program]) -> bool:
         if not self.remote_control:
             return self._refuse("it is not in remote control")
         if self.power.mode is not RobotMode.RUNNING:
@@ -291,30 +309,13 @@ class Controller:
         if self.safety.stopped:
             return self._refuse(f"its safety mode is {self.safety.mode.name}")
         try:
-            program = self._recognise(text, peer)
+            self.runtime.load(make())
         except CellError as error:
             return self._refuse(str(error))
-        self.runtime.load(program)
         return True
-
-    def load(self, name: str) -> bool:
-        """Make a program known to `play`; False if there is none of this name."""
-        if name not in self._programs:
-            return False
-        self.runtime.stop()
-        self.loaded = name
-        return True
-
-    def play(self) -> bool:
-        """Resume a paused program, or start the loaded one."""
-        if self.safety.stopped or self.power.mode is not RobotMode.RUNNING:
-            return False
-        if self.runtime.holding:
-            return self.runtime.resume()
-        return bool(self.loaded) and self.upload(self._programs[self.loaded], "dashboard")
 
     def _refuse(self, why: str) -> bool:
-        self.message(f"Script refused: {why}", 1)
+        self.message(f"Program refused: {why}", 1)
         return False
 
     # -- terminals and messages -------------------------------------------------------------------

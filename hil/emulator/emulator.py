@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TypeVar
@@ -57,7 +57,7 @@ class Emulator:
     Args:
         listen: IPv4 address to serve on. Clients with fixed ports need one address per controller.
         plant: the arm; the emulator's from now on, closed by `stop`.
-        mover, recognise: see `Controller`, as for the rest of the arguments.
+        mover, recognise, find: see `Controller`, as for the rest of the arguments.
         gripper: served on its port; None: no gripper.
         real_time: ask the system for real-time scheduling of the controller's thread; where it is
             not granted, a busy machine makes cycles late.
@@ -81,7 +81,7 @@ class Emulator:
         ports: Ports | None = None,
         durations: Durations | None = None,
         safety_io: SafetyIo | None = None,
-        programs: Mapping[str, str] | None = None,
+        find: Callable[[str, str], Program] | None = None,
         power_up: bool = False,
         real_time: bool = True,
         clock: Clock | None = None,
@@ -99,7 +99,7 @@ class Emulator:
             recognise,
             durations=durations,
             safety_io=safety_io,
-            programs=programs,
+            find=find,
             power_up=power_up,
         )
         self._loop: Loop | None = None

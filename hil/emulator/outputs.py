@@ -63,6 +63,10 @@ class Outputs:
         self._stamp_actual = self._stamp_target = -1
         return True
 
+    def scaling(self) -> float:
+        """RTDE `speed_scaling`: its product with the slider's fraction is the actual ratio."""
+        return min(1.0, self._c.speed_scaling / self._c.io.speed_slider)
+
     # -- estimates --------------------------------------------------------------------------------
 
     def currents(self) -> list[float]:
@@ -156,7 +160,7 @@ class Outputs:
             "robot_status_bits": lambda: (c.robot_status_bits,),
             "safety_status_bits": lambda: (c.safety_status_bits,),
             "runtime_state": lambda: (c.runtime_state,),
-            "speed_scaling": lambda: (c.scaling_of_slider,),
+            "speed_scaling": lambda: (self.scaling(),),
             "target_speed_fraction": lambda: (c.io.speed_slider,),
             "script_control_line": lambda: (0,),
             "time_scale_source": lambda: (0,),

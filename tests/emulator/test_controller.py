@@ -120,7 +120,7 @@ def test_text_that_is_no_program_changes_nothing() -> None:
     rig = Rig(sweep=True)
     assert not rig.c.upload("def nonsense(", "test")
     assert rig.c.runtime_state is RuntimeState.PLAYING
-    assert rig.said[-1] == ("Script refused: this text is no program that can be run here", 1)
+    assert rig.said[-1] == ("Program refused: this text is no program that can be run here", 1)
 
 
 def test_a_program_that_fails_ends_and_the_controller_goes_on() -> None:

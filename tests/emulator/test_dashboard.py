@@ -8,16 +8,24 @@ from collections.abc import Iterator
 
 import pytest
 
+from cell.errors import BackendError
 from hil.emulator.emulator import Emulator
 from hil.emulator.interfaces import RobotMode, RuntimeState, SafetyMode
 from hil.emulator.interfaces_faults import NoFaults
-from tests.emulator.ideal import SWEEP
+from tests.emulator.ideal import SWEEP, Sweep
 from tests.emulator.rig import LATEST, Lines, running, until
+
+
+def find(name: str, host: str) -> Sweep:
+    assert host == "127.0.0.1"
+    if name != "sweep.urp":
+        raise BackendError(f"no program {name!r} on this controller")
+    return Sweep(SWEEP)
 
 
 @pytest.fixture(scope="module")
 def emulator() -> Iterator[Emulator]:
-    with running(programs={"sweep.urp": SWEEP}) as served:
+    with running(find=find) as served:
         yield served
 
 

@@ -141,7 +141,7 @@ def test_messages_come_on_the_primary_interface(emulator: Emulator) -> None:
         while kind != _MESSAGE:
             kind, content = package(sock)
     assert content[9] == 6, "an error code"
-    assert content[30:] == b"Script refused: this text is no program that can be run here"
+    assert content[30:] == b"Program refused: this text is no program that can be run here"
 
 
 def test_programs_and_popups_are_told_on_the_primary_interface(emulator: Emulator) -> None:

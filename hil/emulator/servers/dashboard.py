@@ -32,7 +32,6 @@ class Dashboard:
             "getuserrole": lambda: "PROGRAMMER",
         }
         self._with_argument: dict[str, Callable[[str], str]] = {
-            "load": self._load,
             "popup": self._popup,
             "addtolog": self._add_to_log,
             "set operational mode": self._set_operational_mode,
@@ -49,14 +48,16 @@ class Dashboard:
         told = self._faults.remote_control()
         return self._c.remote_control if told is None else told
 
-    def answer(self, line: str) -> str:
-        """The answer to one line."""
+    def answer(self, line: str, host: str) -> str:
+        """The answer to one line of a client at `host`."""
         words = line.strip()
         command = " ".join(words.lower().split())
         if command in self._plain:
             if command in self._restricted and not self.remote:
                 return f'Command is not allowed in local control: "{words}"'
             return self._plain[command]()
+        if command.startswith("load "):
+            return self._load(words[5:].strip(), host)
         for prefix, function in self._with_argument.items():
             if command.startswith(prefix + " "):
                 return function(words[len(prefix) :].strip())
@@ -120,8 +121,8 @@ class Dashboard:
         running = runtime.program.name if runtime.active and runtime.program is not None else ""
         return running or self._c.loaded or "<unnamed>"
 
-    def _load(self, name: str) -> str:
-        return f"Loading program: {name}" if self._c.load(name) else f"File not found: {name}"
+    def _load(self, name: str, host: str) -> str:
+        return f"Loading program: {name}" if self._c.load(name, host) else f"File not found: {name}"
 
     # -- who it is --------------------------------------------------------------------------------
 
@@ -186,7 +187,7 @@ class DashboardSpeaker:
             self._say("Disconnected" if line == "quit" else "Shutting down")
             self._connection.close(f"the client asked to {line}")
         elif line:
-            self._say(self._dashboard.answer(line))
+            self._say(self._dashboard.answer(line, self._connection.peer.rpartition(":")[0]))
 
     def cycle(self) -> None:
         pass

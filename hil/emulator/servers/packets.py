@@ -93,7 +93,7 @@ def popup_message(controller: Controller, title: str, text: str) -> bytes:
 def state_message(controller: Controller, outputs: Outputs) -> bytes:
     """The robot's state with all its sub-packets."""
     parts = (
-        _mode_data(controller),
+        _mode_data(controller, outputs),
         _joint_data(controller, outputs),
         _masterboard_data(controller, outputs),
         _cartesian_info(controller, outputs),
@@ -103,7 +103,7 @@ def state_message(controller: Controller, outputs: Outputs) -> bytes:
     return _package(_STATE, b"".join(parts))
 
 
-def _mode_data(c: Controller) -> bytes:
+def _mode_data(c: Controller, outputs: Outputs) -> bytes:
     bits = (
         True,
         True,
@@ -115,7 +115,7 @@ def _mode_data(c: Controller) -> bytes:
     )
     content = struct.pack(">Q7?", _stamp(c), *bits)
     content += struct.pack(">bB", c.robot_mode, 0)
-    return _part(0, content + struct.pack(">3dB", c.io.speed_slider, c.scaling_of_slider, 1.0, 0))
+    return _part(0, content + struct.pack(">3dB", c.io.speed_slider, outputs.scaling(), 1.0, 0))
 
 
 def _joint_data(c: Controller, outputs: Outputs) -> bytes:

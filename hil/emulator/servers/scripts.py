@@ -72,6 +72,6 @@ def take_script(text: str, peer: str, controller: Controller) -> None:
         if refusal:
             controller.message(refusal, 2)
     elif words[:1] == ["sec"]:
-        controller.message("Script refused: secondary programs are not supported", 1)
+        controller.message("Program refused: secondary programs are not supported", 1)
     else:
         controller.upload(text, peer)
