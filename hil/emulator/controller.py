@@ -194,11 +194,10 @@ class Controller:
 
     def protective_stop(self, reason: str) -> None:
         """Stop motion and kill the program; see `unlock_protective_stop`."""
-        again = self.safety.mode is SafetyMode.PROTECTIVE_STOP
+        if self.safety.mode is not SafetyMode.PROTECTIVE_STOP:
+            self.message(f"Protective stop: {reason}", 1)
         self.safety.protective_stop(self.now, reason)
         self._react()
-        if not again:
-            self.message(f"Protective stop: {reason}", 1)
 
     def emergency_stop(self, pressed: bool) -> None:
         self.safety.button(pressed)

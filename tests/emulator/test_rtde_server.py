@@ -156,10 +156,16 @@ def test_outputs_show_up_in_the_stream(emulator: Emulator, client: RtdeClient) -
 
 def test_texts_reach_the_clients(emulator: Emulator) -> None:
     raw = Raw(emulator)
-    assert raw.ask(Kind.VERSION, b"\x00\x02") == b"\x01"
+    emulator.do(lambda c: c.message("too early, it would be taken for an answer", 2))
+    raw.ask(Kind.OUTPUTS, codec.encode_outputs(500, ["timestamp"]))
+    raw.socket.sendall(codec.frame(Kind.START))
+    assert raw.next()[0] == Kind.START
+    emulator.do(lambda c: c.message("nothing to worry about", 3))
     emulator.do(lambda c: c.message("something to know", 2))
     kind, payload = raw.next()
-    assert kind == Kind.TEXT and codec.decode_text(payload) == ("something to know", "Controller", 2)
+    while kind == Kind.DATA:
+        kind, payload = raw.next()
+    assert codec.decode_text(payload) == ("something to know", "Controller", 2)
     raw.socket.close()
 
 

@@ -21,6 +21,7 @@ _log = logging.getLogger("hil.emulator")
 _MAX_RATE = 1.0 / PERIOD
 _MAX_RECIPES = 255
 _SOURCE = "Controller"
+_WARNING = 2
 
 
 class RtdeServer:
@@ -71,16 +72,22 @@ class RtdeServer:
         self._owners = {name: owner for name, owner in self._owners.items() if owner is not speaker}
 
     def _tell(self, text: str, level: int) -> None:
+        """Warnings and errors to those who receive: a client amid its set-up expects answers only."""
         for speaker in self._speakers:
-            speaker.tell(text, level)
+            if speaker.started and level <= _WARNING:
+                speaker.tell(text, level)
 
 
 class RtdeSpeaker:
-    """One client."""
+    """One client.
+
+    Attributes:
+        started: it gets data packets.
+    """
 
     def __init__(self, server: RtdeServer, connection: Connection) -> None:
         self._server, self._connection = server, connection
-        self._started = False
+        self.started = False
         self._layout: Layout | None = None
         self._getters: list[Getter] = []
         self._share = 1.0
@@ -117,7 +124,7 @@ class RtdeSpeaker:
 
     def cycle(self) -> None:
         """Send a packet if it is due. At most one: what a late cycle missed is not made up for."""
-        if not self._started or self._layout is None:
+        if not self.started or self._layout is None:
             return
         self._phase += self._share
         if self._phase < 1.0 - 1e-9:
@@ -149,7 +156,7 @@ class RtdeSpeaker:
         types = [self._server.output_type(name) for name in names]
         if not names or NOT_FOUND in types or not (math.isfinite(rate) and rate > 0.0):
             return codec.encode_recipe(0, types)
-        self._started = False
+        self.started = False
         self._layout = Layout([FieldType(kind) for kind in types])
         self._getters = [self._server.getters[name] for name in names]
         self._share = min(rate, _MAX_RATE) / _MAX_RATE
@@ -167,12 +174,12 @@ class RtdeSpeaker:
 
     def _start(self, payload: bytes) -> bytes:
         del payload
-        self._started = self._layout is not None
-        return bytes([self._started or bool(self._takers)])
+        self.started = self._layout is not None
+        return bytes([self.started or bool(self._takers)])
 
     def _pause(self, payload: bytes) -> bytes:
         del payload
-        self._started = False
+        self.started = False
         return b"\x01"
 
     def _take(self, payload: bytes) -> None:
