@@ -155,9 +155,9 @@ class Emulator:
             self._gripper_server = None
         if self._loop is not None:
             self._loop.end()
-            if self.wait(_END_TIME) and not self._closed:
-                self._closed = True
-                self._plant.close()
+        if self.wait(_END_TIME) and not self._closed:
+            self._closed = True
+            self._plant.close()
 
     @property
     def timing(self) -> tuple[int, int]:
