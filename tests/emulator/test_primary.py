@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cell.errors import DecodeError
@@ -201,6 +201,7 @@ def test_a_script_has_an_end() -> None:
         split_script(bytearray(b"def a():\n" + b"x = 1\n" * 700_000), 0.0)
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=300), st.floats(0.0, 3.0))
 def test_any_bytes_are_split_or_wait(data: bytes, quiet: float) -> None:
     buffer = bytearray(data)

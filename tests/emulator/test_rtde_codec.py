@@ -6,7 +6,7 @@ import struct
 from contextlib import suppress
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cell.errors import DecodeError
@@ -34,7 +34,8 @@ def test_a_known_frame() -> None:
     assert codec.frame(Kind.START) == b"\x00\x03S"
 
 
-@given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=300)), max_size=8), st.data())
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=60)), max_size=5), st.data())
 def test_frames_survive_any_cutting(frames: list[tuple[int, bytes]], data: st.DataObject) -> None:
     stream = b"".join(codec.frame(kind, payload) for kind, payload in frames)
     buffer, taken = bytearray(), []
@@ -46,6 +47,7 @@ def test_frames_survive_any_cutting(frames: list[tuple[int, bytes]], data: st.Da
     assert taken == frames and not buffer
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=2000))
 def test_no_bytes_break_the_decoders(data: bytes) -> None:
     buffer = bytearray(data)
@@ -74,6 +76,7 @@ def test_a_trailing_comma_is_no_name() -> None:
     assert codec.decode_names(b"timestamp,actual_q,") == ("timestamp", "actual_q")
 
 
+@settings(deadline=None)
 @given(st.text(max_size=80), st.text(max_size=20), st.integers(0, 3))
 def test_texts(text: str, source: str, level: int) -> None:
     got = codec.decode_text(codec.encode_text(text, source, level))
@@ -92,6 +95,7 @@ _VALUES = {
 }
 
 
+@settings(max_examples=60, deadline=None)
 @given(st.lists(st.sampled_from(FieldType), min_size=1, max_size=12), st.data())
 def test_data_packets(types: list[FieldType], data: st.DataObject) -> None:
     layout, wanted, flat = Layout(types), [], []
