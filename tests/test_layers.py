@@ -28,6 +28,7 @@ ABOVE = {
     "cell.run": {"cell.decision", "cell.perception", "cell.motion", "cell.record"},
     "cell.doctor": {"cell.perception", "cell.motion"},
     "cell.learn": {"cell.decision.policy"},
+    "cell.trials": {"cell.run", "cell.decision", "cell.perception", "cell.motion", "cell.record", "cell.learn"},
     "hil": {"urdf"},
     "urdf": set(),
 }

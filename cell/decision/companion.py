@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -15,8 +16,8 @@ from cell.frames import Array
 from cell.motion.collision import CollisionModel
 from cell.perception.hands.gesture import Gesture
 from cell.perception.human_action import HumanActions
-from cell.perception.person import PersonEye, PersonView
-from cell.wire.types import Hands
+from cell.perception.person import PersonView
+from cell.wire.types import Frame, Hands
 from cell.wire.vocabulary import Action
 
 _REMEMBERED = 1.0
@@ -38,16 +39,30 @@ class _Then:
     held: float
 
 
+class Eye(Protocol):
+    """What is needed of `cell.perception.person.PersonEye`."""
+
+    def look(self, frame: Frame, arm: Array, onions: Array, full: Array | None = None) -> PersonView: ...
+
+
 class Companion:
     """The person beside the robot.
 
     Args:
         eye: the person camera. belief: fed with what is observed. collision: the arm's spheres.
+        actions: the person's action by what the eye sees; made if None.
     """
 
-    def __init__(self, config: CellConfig, eye: PersonEye, belief: Belief, collision: CollisionModel) -> None:
+    def __init__(
+        self,
+        config: CellConfig,
+        eye: Eye,
+        belief: Belief,
+        collision: CollisionModel,
+        actions: HumanActions | None = None,
+    ) -> None:
         self._config, self._eye, self._belief, self._collision = config, eye, belief, collision
-        self._actions = HumanActions(config)
+        self._actions = actions or HumanActions(config)
         self._past: deque[_Then] = deque()
         self._view: PersonView | None = None
         self._fed: Action | None = None

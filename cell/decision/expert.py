@@ -29,7 +29,16 @@ def always_industrial(state: State) -> Action:
     return Action.SPEED_UP if state.own_type is RobotType.COLLABORATIVE else _sort(state)
 
 
-EXPERTS = {"expert": adaptive, "always-industrial": always_industrial}
+def always_collaborative(state: State) -> Action:
+    """Sort, always in collaborative mode."""
+    return Action.SLOW_DOWN if state.own_type is RobotType.INDUSTRIAL else _sort(state)
+
+
+EXPERTS = {
+    "expert": adaptive,
+    "always-industrial": always_industrial,
+    "always-collaborative": always_collaborative,
+}
 """Shipped policies by name."""
 
 

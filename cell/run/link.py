@@ -37,6 +37,8 @@ from cell.wire.types import (
 
 _STEP_TIMEOUT = 60.0
 """Longest wall time one lock-step step may take [s]."""
+_ANSWER_TIME = 2.0
+"""Longest that a command may wait for its answer in real time [s]."""
 _PATIENCE = 10
 """Stale joint states are waited out for this many times their greatest age."""
 _FIRST_DATA = 20.0
@@ -57,7 +59,7 @@ class Link(Protocol):
     def close(self) -> None: ...
 
 
-def send(session: Session, command: Command) -> Reply:
+def send(session: Session, command: Command, timeout: float = _ANSWER_TIME) -> Reply:
     """Send one command to the node; a failing wire becomes a refusal with its text."""
     keys, order = session.keys, command.order
     match order:
@@ -72,7 +74,7 @@ def send(session: Session, command: Command) -> Reply:
         case Capture():
             key = keys.camera(command.camera, "capture")
     try:
-        return session.call(key, order, Reply)
+        return session.call(key, order, Reply, timeout)
     except WireError as error:
         return Reply(False, "wire", str(error))
 
@@ -86,7 +88,8 @@ class StepLink:
         self._rest_cycles = round(3.0 / (self._ticks * config.arm.control_period))
 
     def exchange(self, commands: tuple[Command, ...]) -> Inputs:
-        replies = tuple((c.ticket, send(self._session, c)) for c in commands)
+        # A busy machine may take its time; a refusal for that would change the result.
+        replies = tuple((c.ticket, send(self._session, c, _STEP_TIMEOUT)) for c in commands)
         return _inputs(self._step(), replies)
 
     def stop(self, reason: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -44,6 +45,8 @@ Watcher = Callable[[Inputs, Outputs], None]
 """Called after every tick; must be quick and must not raise."""
 Judge = Callable[[Inputs, Outputs, Truth], None]
 """Called after every tick with the simulation's truth at that moment; for measuring only."""
+MakeCompanion = Callable[[CellConfig, Planner], Companion]
+"""Makes what watches the person, in the place of the person camera and the configured belief."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +83,13 @@ def run_round(
     options: RoundOptions,
     watch: Watcher | None = None,
     judge_tick: Judge | None = None,
+    make_companion: MakeCompanion | None = None,
+    judge_every: int = 1,
 ) -> RoundResult:
     """Start a node, sort one batch, judge it, and end everything that was started.
+
+    Args:
+        judge_every: ticks from one call of `judge_tick` to the next.
 
     Raises:
         CellError: nothing could be run (bad configuration, port in use, missing weights, ...).
@@ -106,7 +114,13 @@ def run_round(
         planner = Planner(config)
         views = InspectionViews(config)
         supervisor = Supervisor(
-            config, policy, planner, views, detector, HOLDER, _companion(config, options, planner)
+            config,
+            policy,
+            planner,
+            views,
+            detector,
+            HOLDER,
+            _companion(config, options, planner, make_companion),
         )
         _warm_up(planner, detector, config)
         node.wait_ready()
@@ -119,25 +133,33 @@ def run_round(
         stack.callback(link.close)
         with _interruptible():
             if judge_tick is not None:
-                watch = _with_truth(session, judge_tick, watch)
+                watch = _with_truth(session, judge_tick, watch, judge_every)
             return _drive(supervisor, link, session, meter, options, policy, watch)
 
 
-def _with_truth(session: Session, judge_tick: Judge, watch: Watcher | None) -> Watcher:
+def _with_truth(session: Session, judge_tick: Judge, watch: Watcher | None, every: int) -> Watcher:
     """A watcher that also asks for the truth."""
+    ticks = itertools.count()
 
     def both(inputs: Inputs, outputs: Outputs) -> None:
         if watch is not None:
             watch(inputs, outputs)
-        judge_tick(inputs, outputs, session.call(session.keys.sim_truth, TruthRequest(HOLDER), Truth))
+        if next(ticks) % every:
+            return
+        truth = session.call(session.keys.sim_truth, TruthRequest(HOLDER), Truth, timeout=_TRUTH_TIME)
+        judge_tick(inputs, outputs, truth)
 
     return both
 
 
-def _companion(config: CellConfig, options: RoundOptions, planner: Planner) -> Companion | None:
+def _companion(
+    config: CellConfig, options: RoundOptions, planner: Planner, make: MakeCompanion | None
+) -> Companion | None:
     """What watches the person, if there is one."""
     if not options.person:
         return None
+    if make is not None:
+        return make(config, planner)
     return Companion(config, PersonEye(config), make_belief(config.supervisor.belief), planner.collision)
 
 
