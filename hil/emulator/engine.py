@@ -158,8 +158,10 @@ class Engine(MoverLike):
         self._update()
 
     def _compliant(self, own: list[float]) -> tuple[list[float], list[float]]:
-        speed = [(a - b) / DT for a, b in zip(own, self._own, strict=True)]
-        speed = self.force.blend(self.kinematics, self._tool, self._q, speed, self.memory.wrench())
+        own_speed = [(a - b) / DT for a, b in zip(own, self._own, strict=True)]
+        middle = [0.5 * (a + b) for a, b in zip(own, self._own, strict=True)]
+        wrench = self.memory.wrench()
+        speed = self.force.blend(self.kinematics, self._tool, self._q, (middle, own_speed), wrench)
         return advance(self._q, speed, speed), speed
 
     def _set(self, q: list[float], qd: list[float]) -> None:

@@ -54,12 +54,12 @@ class Mover(Engine):
 
     def servoj(self, q: Six, t: float, lookahead: float, gain: float) -> None:
         """Follow a streamed target [rad] for t [s]."""
-        servo = self._motion
+        target, servo = six(q), self._motion
         if not (isinstance(servo, Servo) and servo.running):
             servo = Servo(self._q, self._qd, self.kinematics.qd_max)
             self._start(servo)
         try:
-            servo.command(six(q), t, lookahead, gain)
+            servo.command(target, t, lookahead, gain)
         except Trouble as reason:
             self._fail(str(reason))
 
@@ -74,24 +74,27 @@ class Mover(Engine):
 
     def servoc(self, pose: Six, a: float, v: float) -> None:
         """At constant speed towards a pose that may be changed at any time."""
+        target, a, v = six(pose), positive("the acceleration", a), positive("the speed", v)
         if not isinstance(self._motion, Pursuit):
             self._start(Pursuit(self.kinematics, self._tool))
         assert isinstance(self._motion, Pursuit)
-        self._motion.command(six(pose), positive("the acceleration", a), positive("the speed", v))
+        self._motion.command(target, a, v)
 
     def speedj(self, qd: Six, a: float, t: float = 0.0) -> None:
         """Joint speeds [rad/s] for t [s]; 0: until the next command."""
+        target, a = six(qd), positive("the acceleration", a)
         if not isinstance(self._motion, JointSpeed):
             self._start(JointSpeed())
         assert isinstance(self._motion, JointSpeed)
-        self._motion.command(six(qd), positive("the acceleration", a), t)
+        self._motion.command(target, a, t)
 
     def speedl(self, xd: Six, a: float, t: float = 0.0) -> None:
         """A twist of the TCP [m/s], [rad/s] for t [s]; 0: until the next command."""
+        target, a = six(xd), positive("the acceleration", a)
         if not isinstance(self._motion, ToolSpeed):
             self._start(ToolSpeed(self.kinematics, self._tool))
         assert isinstance(self._motion, ToolSpeed)
-        self._motion.command(six(xd), positive("the acceleration", a), t)
+        self._motion.command(target, a, t)
 
     def spline(self, q: Six, qd: Six, qdd: Six | None, t: float, last: bool) -> None:
         """Append a point to the joint spline, or begin one; see `Spline.append`."""

@@ -70,18 +70,21 @@ class ForceMode:
         kinematics: Kinematics,
         tool: Frame,
         q: Sequence[float],
-        own: Sequence[float],
+        own: tuple[Sequence[float], Sequence[float]],
         wrench: Sequence[float],
     ) -> list[float]:
-        """Joint speeds [rad/s] at q, where the arm's own motion would have the speeds `own`.
+        """Joint speeds [rad/s] at q [rad].
 
         Args:
+            own: where the arm's own motion would have the joints, and their speeds there.
             wrench: measured, axes of B, shape (6,).
         """
         task = self.task
         assert task is not None
         _, J = kinematics.jacobian(q, tool)
-        twist = _in(task.frame, tool_speed(J, own)) if any(own) else [0.0] * 6
+        twist = [0.0] * 6
+        if any(own[1]):
+            twist = _in(task.frame, tool_speed(kinematics.jacobian(own[0], tool)[1], own[1]))
         felt = _in(task.frame, wrench)
         share = DT / (_LAG + _DAMPED * self.damping)
         for i in range(6):
