@@ -168,7 +168,8 @@ class Ur3eBackend:
         return JointState(m.t, np.array(m.q), np.array(m.qd), np.array(m.effort))
 
     def read_status(self) -> ArmStatus:
-        m = self._connected()
+        self._connected()
+        m = self._sample = self._newest()
         return ArmStatus(
             self._t,
             robot_mode=m.robot_mode,
@@ -246,15 +247,14 @@ class Ur3eBackend:
             self._follow = True
 
     def _arm_again(self) -> None:
+        """With a new driver: what the old one left in the controller's registers is cleared by that."""
         try:
             checks.check_reachable(self._robot_ip)
             checks.check_controller(self._robot_ip)
-            m = self._driver.measured()
-            if not self._driver.alive() or m is None or self._clock.now() - m.heard > SILENCE:
-                self._driver.close()
-                driver = Driver(self._config, self._robot_ip, self._clock)
-                driver.start()
-                self._driver = driver
+            self._driver.close()
+            driver = Driver(self._config, self._robot_ip, self._clock)
+            driver.start()
+            self._driver = driver
             self._arm()
         except CellError as error:
             self._arming_problem = str(error)

@@ -25,7 +25,9 @@ _SAFEGUARDS = (
 )
 _UNLOCK_TRIES, _UNLOCK_PAUSE = 8, 1.0
 """A protective stop can be unlocked five seconds after it, not before."""
-_POWER_TIME = 20.0
+_POWER_TIME, _RESTART_TIME = 20.0, 2.0
+"""How long powering on, and at least restarting the safety system, takes [s]."""
+_STANDING = ("POWER_OFF", "IDLE", "RUNNING")
 _POLL = 0.2
 
 
@@ -75,7 +77,8 @@ class Recovery:
             return False
         if status in ("FAULT", "VIOLATION"):
             self._step("restart safety")
-            if not self._wait(lambda: self._safety() in _FINE, _POWER_TIME):
+            self._clock.sleep_until(self._clock.now() + _RESTART_TIME)
+            if not self._wait(lambda: self._safety() in _FINE and self._mode() in _STANDING, _POWER_TIME):
                 self._refuse(f"the safety system did not start again; its status is {self._safety()}")
                 return False
         elif status == "RECOVERY":

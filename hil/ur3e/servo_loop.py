@@ -22,6 +22,7 @@ from hil.ur3e.setpoints import SetPoints
 
 _LATE = 0.5 * PERIOD
 _KICK_CYCLES = 10
+_REFUSALS = 10
 _LAMP_MASK = 0b111
 
 
@@ -59,6 +60,7 @@ class ServoLoop:
         self._armed = self._wanted = self._failed = 0
         self._cause = Cause.NONE
         self._lamp = -1
+        self._refused = 0
         self._cycles = self._late = self._lost = self._delayed = 0
         self._worst = 0.0
         self._ended = threading.Event()
@@ -121,7 +123,9 @@ class ServoLoop:
             except RuntimeError as error:
                 cause, why = Cause.DISCONNECTED, str(error)
             else:
-                cause = Cause.NONE if taken else Cause.SERVO
+                # a program that is just ending refuses, too: the next packets tell which it is
+                self._refused = 0 if taken else self._refused + 1
+                cause = Cause.SERVO if self._refused > _REFUSALS else Cause.NONE
         elif cause is Cause.NONE and self._cycles % _KICK_CYCLES == 0:
             with suppress(RuntimeError):
                 self._link.kick()
@@ -199,6 +203,7 @@ class ServoLoop:
             self._say(f"not armed: {problem or 'another order came in between'}")
         else:
             self._points.clear()
+            self._refused = 0
             self._armed, self._cause = epoch, Cause.NONE
 
     def _halt(self) -> None:

@@ -109,7 +109,7 @@ def test_every_stop_has_a_name_and_ends_only_on_purpose(fault: Callable[[Bench],
     bench.drive(20, speed=0.2)
     healthy = bench.link.packet
     fault(bench)
-    bench.cycles(2)
+    bench.drive(4, speed=0.2)
     assert why(bench).startswith(words), why(bench)
     sent = len(bench.link.servos)
     # It goes away by itself, and the node goes on sending: nothing moves.
