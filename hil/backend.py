@@ -121,10 +121,10 @@ class TellsNews(Protocol):
 
 
 @runtime_checkable
-class Prepares(Protocol):
+class WorksAhead(Protocol):
     """A steppable backend that can do work of later steps, such as drawing pictures, ahead of time."""
 
-    def prepare(self) -> bool:
+    def work_ahead(self) -> bool:
         """Do a part of it, some ten milliseconds long; False when there is none."""
         ...
 

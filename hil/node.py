@@ -43,10 +43,11 @@ from cell.wire.types import (
     Truth,
     TruthRequest,
 )
-from hil.backend import Backend, KnowsTruth, Prepares, TellsNews
+from hil.backend import Backend, KnowsTruth, TellsNews, WorksAhead
 from hil.guard import ERROR, WARN, Guard, check_batch
 from hil.inbox import Inbox
 from hil.outbox import Outbox, publish_frame
+from hil.real_time import ask_for_real_time
 
 _MAX_STEP = 1000
 _STATUS_TICKS = 5
@@ -55,6 +56,8 @@ _MAX_CATCH_UP = 25
 """Simulated periods done in one go after a late cycle."""
 _END_TIME = 3.0
 """Longest braking when the node is told to end [s]."""
+_PRIORITY = 2
+"""Of the loop that a real arm depends on."""
 _PATIENCE, _PATIENCE_LOCK_STEP = 1.5, 30.0
 """How long a command may wait for the loop [s]; callers in real time give up after 2 s."""
 
@@ -127,9 +130,9 @@ class Node:
 
     def _use_idle_time(self) -> None:
         """While the supervisor thinks: work that a later step would have to do."""
-        if isinstance(self._backend, Prepares):
+        if isinstance(self._backend, WorksAhead):
             with self._backend_works():
-                while self._inbox.empty and self._backend.prepare():
+                while self._inbox.empty and self._backend.work_ahead():
                     pass
 
     def _follow_wall_time(self) -> None:
@@ -149,6 +152,7 @@ class Node:
             self._publish_frames()
 
     def _follow_real_cycle(self) -> None:
+        ask_for_real_time(_PRIORITY)
         sys.setswitchinterval(0.001)  # other threads must not keep the interpreter from the loop
         outbox = Outbox(self._session)
         try:

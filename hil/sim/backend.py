@@ -159,12 +159,12 @@ class SimBackend:
     def request_frame(self, camera: str) -> None:
         self._expose(self._camera(camera))
 
-    def prepare(self) -> bool:
+    def work_ahead(self) -> bool:
         """Draw or develop one exposure ahead of its time; False when there is none."""
         if self._undrawn:
             self._undrawn.popleft().start()
             return True
-        return any(camera.prepare() for camera in self._cameras.values())
+        return any(camera.develop() for camera in self._cameras.values())
 
     def take_frames(self) -> list[Frame]:
         now = self.now()
@@ -194,7 +194,7 @@ class SimBackend:
         return self._cameras[name]
 
     def _expose(self, camera: Camera) -> None:
-        """Take a frame. It is drawn when it is due, or earlier where `prepare` finds the time."""
+        """Take a frame. It is drawn when it is due, or earlier where `work_ahead` finds the time."""
         renderer, world = self._renderer, self.world
         assert renderer is not None
         moment, stance = renderer.moment(), world.stance()

@@ -167,7 +167,7 @@ class Camera:
         self.seq += 1
         self._waiting.append((self.seq, now, picture))
 
-    def prepare(self) -> bool:
+    def develop(self) -> bool:
         """Make one frame that is not due yet; False when there is none to make."""
         if not self._waiting:
             return False
@@ -180,7 +180,7 @@ class Camera:
         """Frames whose latency has passed at `now` [s], oldest first; each is returned once."""
         exposed = now - self.config.latency + 1e-9
         while self._waiting and self._waiting[0][1] <= exposed:
-            self.prepare()
+            self.develop()
         out = []
         while self._ready and self._ready[0].t <= exposed:
             out.append(self._ready.popleft())
