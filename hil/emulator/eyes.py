@@ -99,7 +99,7 @@ def main() -> int:
     exchange = Exchange(socket.socket(fileno=args.link))
     try:
         config = _read_config()
-        check_surroundings(args.onions, args.persona)
+        check_surroundings(args.seed, args.onions, args.persona)
         backend = MirrorBackend(config, args.seed, args.onions, args.persona)
         with open_service(config, args.listen) as session:  # a port in use shows at once
             try:

@@ -102,7 +102,7 @@ class MirrorBackend(SimBackend):
         Raises:
             ConfigError: it cannot be; the cell is as it was at its beginning then.
         """
-        check_surroundings(onions, persona)
+        check_surroundings(seed, onions, persona)
         try:
             self._build(seed, onions, persona)
         except ConfigError:
@@ -147,8 +147,10 @@ class MirrorBackend(SimBackend):
         )
 
 
-def check_surroundings(onions: int, persona: str) -> None:
+def check_surroundings(seed: int, onions: int, persona: str) -> None:
     """Raises `ConfigError` for an impossible batch or an unknown persona ("" is nobody)."""
+    if not 0 <= seed < 2**63:
+        raise ConfigError(f"seed must be from 0 to 2^63 - 1, got {seed}")
     if not 0 <= onions <= _MAX_ONIONS:
         raise ConfigError(f"onions must be from 0 to {_MAX_ONIONS}, got {onions}")
     if persona and persona not in PERSONAS:

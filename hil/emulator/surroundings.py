@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 
 from cell.clock import perf_s
@@ -15,7 +16,7 @@ from hil.emulator.exchange import Exchange
 from hil.emulator.mirror import check_surroundings
 
 _START_TIME = 60.0
-_END_TIME = 1.0
+_END_TIME = 0.7
 """How long the process may take to serve, and to end before it is killed [s]."""
 _WARNING = "warning: "
 
@@ -35,7 +36,7 @@ class Surroundings:
     """
 
     def __init__(self, config: CellConfig, listen: str, seed: int, onions: int, persona: str) -> None:
-        check_surroundings(onions, persona)
+        check_surroundings(seed, onions, persona)
         ours, theirs = Exchange.pair()
         self.exchange = Exchange(ours)
         command = [sys.executable, "-m", "hil.emulator.eyes", "--link", str(theirs.fileno())]
@@ -66,10 +67,16 @@ class Surroundings:
         """The process runs."""
         return self._process.poll() is None
 
-    def wait_ready(self) -> None:
-        """Return when cameras and truth are served; raises `CellError` with its own words if it fails."""
+    def wait_ready(self, given_up: Callable[[], bool] = lambda: False) -> None:
+        """Return when cameras and truth are served, or when that is given up.
+
+        Raises:
+            CellError: the process failed, in its own words.
+        """
         end = perf_s() + _START_TIME
         while not self._ready.wait(0.05):
+            if given_up():
+                return
             if not self.alive:
                 break
             if perf_s() > end:

@@ -146,8 +146,10 @@ def test_a_new_batch_and_a_new_person() -> None:
 
 
 def test_impossible_surroundings() -> None:
-    check_surroundings(0, "")
+    check_surroundings(0, 0, "")
     for persona in PERSONAS:
-        check_surroundings(15, persona)
+        check_surroundings(2**63 - 1, 15, persona)
     with pytest.raises(ConfigError, match="persona 'zoe' is unknown; legal values: none, ana, bo"):
-        check_surroundings(3, "zoe")
+        check_surroundings(0, 3, "zoe")
+    with pytest.raises(ConfigError, match="seed must be from 0 to"):
+        check_surroundings(-1, 3, "")
