@@ -190,8 +190,9 @@ def write_output_boolean_register(robot: Robot, address: Value, value: Value) ->
     robot.registers.out_bit[index(address, 128)] = bool(value)
 
 
-def protective_stop(robot: Robot) -> None:
+def protective_stop(robot: Robot) -> Wait:
     robot.protective_stop("protective_stop() in the program")
+    yield  # the program is not gone on with
 
 
 def _speed(robot: Robot, t: float) -> Wait:
