@@ -62,12 +62,14 @@ class Emulated:
 @cache
 def with_cell() -> Emulated:
     """One with the simulated cell around it, shared by a test session."""
-    return Emulated("127.0.0.51", "--onions", "1", "--person", "none")
+    return Emulated("127.0.0.51", "--onions", "1", "--persona", "none")
 
 
 def patient(config: CellConfig) -> CellConfig:
     """A busy test machine holds everybody up now and then: that is not what is tested."""
-    return msgspec.structs.replace(config, ur3e=msgspec.structs.replace(config.ur3e, patience=0.3))
+    replace = msgspec.structs.replace
+    ur3e = replace(config.ur3e, patience=0.3)
+    return replace(config, ur3e=ur3e, supervisor=replace(config.supervisor, heartbeat_deadline=1.0))
 
 
 def emulated_backend(config: CellConfig) -> Backend:

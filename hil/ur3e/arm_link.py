@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 from cell.clock import WallClock
 from cell.errors import BackendError
+from hil.real_time import ask_for_real_time, threads
 from hil.ur3e.block import Six
 from hil.ur3e.conditions import PLAYING
 
@@ -32,6 +33,8 @@ _FIELDS = [
 ]
 _LEAST_RATE = 10.0
 """The control program ends by itself when nothing comes from here this often [Hz]."""
+_PRIORITY = 3
+"""Of the threads that receive packets, where the system grants it."""
 _START = 5.0
 """How long the control program may take to run [s]."""
 
@@ -122,6 +125,8 @@ class UrRtde:
             self._io: Any = RTDEIOInterface(robot_ip)
         except RuntimeError as error:
             raise BackendError(f"{robot_ip}: {_one_line(error)}") from None
+        for thread in threads():  # the library's own, which receive packets
+            ask_for_real_time(_PRIORITY, thread)
 
     def read(self) -> Packet:
         r = self._receive

@@ -67,7 +67,8 @@ class Ur3eBackend:
         self._cameras: dict[str, CameraSource] = {}
         self._dead: set[str] = set()
         self._sample: Measured | None = None
-        self._t = 0.0
+        self._begin = self._t = 0.0
+        self._ticks = 0
         self._epoch = 0
         self._follow = False
         self._arming: threading.Thread | None = None
@@ -105,7 +106,8 @@ class Ur3eBackend:
             self.close()
             raise
         self._sample = self._newest()
-        self._t = self._clock.now()
+        self._begin = self._t = self._clock.now()
+        self._ticks = 0
         self._follow = True
 
     def close(self) -> None:
@@ -148,7 +150,8 @@ class Ur3eBackend:
     def advance(self) -> None:
         """Wait for the next cycle; a late one is made up for by up to `_CATCH_UP` periods."""
         self._connected()
-        self._t += self._period
+        self._ticks += 1
+        self._t = self._begin + self._ticks * self._period
         self._clock.sleep_until(self._t)
         delay = self._clock.now() - self._t
         self._cycles += 1
@@ -156,7 +159,8 @@ class Ur3eBackend:
             self._late += 1
             self._worst = max(self._worst, delay)
         if delay > _CATCH_UP * self._period:
-            self._t += int(delay / self._period) * self._period
+            self._ticks += int(delay / self._period)
+            self._t = self._begin + self._ticks * self._period
         self._sample = self._newest()
         if self._follow and self._problem():
             self._follow = False

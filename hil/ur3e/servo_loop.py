@@ -14,6 +14,7 @@ from contextlib import suppress
 
 from cell.clock import Clock
 from cell.errors import CellError
+from hil.real_time import ask_for_real_time
 from hil.ur3e.arm_link import PERIOD, ArmLink, Packet
 from hil.ur3e.block import Measured, Measurements, Order, Orders, Six
 from hil.ur3e.clock_map import ClockMap
@@ -21,6 +22,7 @@ from hil.ur3e.conditions import PLAYING, SILENCE, STOPPED, Cause, robot_conditio
 from hil.ur3e.setpoints import SetPoints
 
 _LATE = 0.5 * PERIOD
+_PRIORITY = 3
 _KICK_CYCLES = 10
 _REFUSALS = 10
 _LAMP_MASK = 0b111
@@ -74,6 +76,7 @@ class ServoLoop:
 
     def run(self) -> None:
         """Serve until `end`. A cycle that is missed is skipped, never made up for."""
+        ask_for_real_time(_PRIORITY)
         due = self._clock.now()
         while not self._ended.is_set():
             due += PERIOD

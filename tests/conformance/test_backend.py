@@ -22,7 +22,7 @@ from cell.frames import Array
 from cell.wire.types import Frame
 from hil.backend import Backend, NeedsArming, make_backend
 from hil.executor import Executor
-from tests.emulated import emulated_backend
+from tests.emulated import emulated_backend, patient
 from tests.fake_backend import FakeBackend
 from tests.test_limits import LIMITS, move
 
@@ -76,9 +76,14 @@ def make_ready(backend: Backend) -> None:
             backend.advance()
 
 
+def real(backend: Backend) -> bool:
+    """It has processes and a clock of its own, and may be held up by whatever else the machine does."""
+    return backend.name == "ur3e"
+
+
 def slack(backend: Backend, exact: float = 1e-9) -> float:
-    """How much later than promised something may happen [s]: one with a real clock may be held up."""
-    return exact if backend.steppable or backend.name == "fake" else 0.15
+    """How much later than promised something may happen [s]."""
+    return 2.0 if real(backend) else exact
 
 
 @pytest.fixture(params=BACKENDS)
@@ -95,12 +100,18 @@ def hold(backend: Backend, q: Array, seconds: float) -> None:
         backend.advance()
 
 
-def frames_of(backend: Backend, ticks: int) -> list[tuple[float, Frame]]:
-    """(time of arrival, frame) of all that arrive within so many periods."""
-    out = []
-    for _ in range(ticks):
+def frames_of(backend: Backend, ticks: int, camera: str, count: int) -> list[tuple[float, Frame]]:
+    """(time of arrival, frame) of one camera's that arrive within so many periods.
+
+    A picture that another process makes may come later; then until there are `count`.
+    """
+    out: list[tuple[float, Frame]] = []
+    late = round(slack(backend, 0.0) / PERIOD)
+    for k in range(ticks + late):
         hold(backend, HOME, PERIOD)
-        out += [(backend.now(), frame) for frame in backend.take_frames()]
+        out += [(backend.now(), frame) for frame in backend.take_frames() if frame.camera == camera]
+        if late and k >= ticks and len(out) >= count:
+            break
     return out
 
 
@@ -176,7 +187,7 @@ def test_set_points_are_followed_within_the_lag(backend: Backend) -> None:
         sent.append(q.copy())
         measured.append(backend.read_joints().q)
     s, m = np.array(sent), np.array(measured)
-    latest = int(np.ceil(CONFIG.arm.lag / PERIOD)) + 1
+    latest = int(np.ceil(CONFIG.arm.lag / PERIOD)) + (4 if real(backend) else 1)  # two processes more
     best = min(float(np.abs(m[k:] - s[: len(s) - k]).max()) for k in range(latest + 1))
     assert best < 0.008  # some delay up to the lag explains the measured joints
     assert np.abs(m[-1] - order.q[-1]).max() < 2e-3
@@ -195,7 +206,8 @@ def test_it_stops_by_itself_when_set_points_stop_coming(backend: Backend) -> Non
         backend.advance()
     joints = backend.read_joints()
     assert np.abs(joints.qd).max() < 0.01
-    assert np.abs(joints.q - last).max() < 0.02
+    coasting = 0.3 * patient(CONFIG).ur3e.patience if real(backend) else 0.0
+    assert np.abs(joints.q - last).max() < 0.02 + coasting
 
 
 def test_the_robot_reports_that_it_runs_and_leaves_the_rest_to_the_node(backend: Backend) -> None:
@@ -245,8 +257,7 @@ def test_frames_arrive_after_the_latency_with_their_own_age(backend: Backend, ca
     exposed = backend.now()
     backend.request_frame(camera)
     assert backend.take_frames() == [] or latency == 0.0
-    seen = frames_of(backend, int(np.ceil((latency + 2 * slack(backend)) / PERIOD)) + 3)
-    (arrival, frame), *others = [(t, f) for t, f in seen if f.camera == camera]
+    (arrival, frame), *others = frames_of(backend, int(np.ceil(latency / PERIOD)) + 3, camera, 1)
     assert not others or CONFIG.cameras[camera].rate > 0.0
     assert -1e-9 <= frame.t - exposed <= slack(backend)
     assert latency - 1e-6 <= arrival - frame.t <= latency + 2 * PERIOD + slack(backend)
@@ -259,9 +270,9 @@ def test_frames_arrive_after_the_latency_with_their_own_age(backend: Backend, ca
 def test_frames_are_delivered_once_oldest_first_and_counted(backend: Backend) -> None:
     for _ in range(3):
         backend.request_frame("belt")
-        hold(backend, HOME, 2 * PERIOD + slack(backend))
-    early = [(backend.now(), frame) for frame in backend.take_frames()]
-    frames = [f for _, f in early + frames_of(backend, 20) if f.camera == "belt"]
+        hold(backend, HOME, 2 * PERIOD if not real(backend) else 0.5)
+    early = [(backend.now(), frame) for frame in backend.take_frames() if frame.camera == "belt"]
+    frames = [f for _, f in early + frames_of(backend, 20, "belt", 3 - len(early))]
     times, numbers = [f.t for f in frames], [f.seq for f in frames]
     assert len(frames) == 3 and times == sorted(times)
     assert np.diff(numbers).tolist() == [1, 1]
