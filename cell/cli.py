@@ -10,6 +10,7 @@ import typer
 
 from cell.errors import CellError, ConfigError, one_of
 from cell.learn import cli as learning
+from cell.trials import cli as trying
 
 BAD_INPUT, FAILED, INTERRUPTED = 2, 1, 130
 BACKENDS = ("sim", "ur3e")
@@ -157,6 +158,7 @@ def _surroundings(backend: str, robot_ip: str, cameras: str, person: str, headle
     return cameras, person
 
 
+app.add_typer(trying.trials, name="trials")
 app.add_typer(learning.train, name="train")
 app.command()(learning.evaluate)
 app.command()(learning.report)

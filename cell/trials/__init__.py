@@ -1,0 +1,1 @@
+"""The published experiment in simulation: campaigns of rounds, their figures, statistics and report."""

@@ -1,0 +1,109 @@
+"""`cell trials`. Imports of anything slow happen inside the commands."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from cell.errors import ConfigError
+
+FAILED, INTERRUPTED = 1, 130
+
+trials = typer.Typer(
+    help="Run the published experiment in simulation, headless; a stopped campaign continues.",
+    invoke_without_command=True,
+    rich_markup_mode=None,
+    add_completion=False,
+)
+
+Folder = Annotated[Path, typer.Argument(help="Folder of a campaign.")]
+
+
+@trials.callback()
+def run(
+    context: typer.Context,
+    people: Annotated[str, typer.Option(help="How many of the simulated people, or names: ana,bo.")] = "5",
+    rounds: Annotated[int, typer.Option(help="Rounds per person, shared evenly by the policies.")] = 6,
+    policies: Annotated[
+        str, typer.Option(help="Commas between: tb, dec, a shipped policy, a CSV; POLICY@BELIEF; oracle.")
+    ] = "tb,dec",
+    onions: Annotated[int, typer.Option(help="Onions in a round (1 to 15).")] = 15,
+    seed: Annotated[int, typer.Option(help="Seed of the campaign.")] = 0,
+    workers: Annotated[int, typer.Option(help="Rounds at a time; results do not depend on it.")] = 1,
+    out: Annotated[Path, typer.Option(help="Folder of the campaign.")] = Path("runs/trials"),
+    backend: Annotated[
+        str, typer.Option(help="sim, or ur3e: the emulated controller, in real time.")
+    ] = "sim",
+    perception: Annotated[
+        str, typer.Option(help="full, or truth: quick, the person is told, not seen.")
+    ] = "full",
+    shard: Annotated[str, typer.Option(help="i/n: only the i-th of n parts of the rounds.")] = "",
+    scheduler: Annotated[str, typer.Option(help="Address of a Dask scheduler, as tcp://host:8786.")] = "",
+    record: Annotated[bool, typer.Option("--record", help="Also an MCAP file per round (large).")] = False,
+    report: Annotated[bool, typer.Option("--report/--no-report", help="Write plots and report.html.")] = True,
+    config: Annotated[Path | None, typer.Option(help="Cell description laid over the shipped one.")] = None,
+) -> None:
+    """Run rounds of all people with all policies, and report.
+
+    Exit code 0: every round is done and complete, nothing dropped; 1: not so; 2: bad input.
+    """
+    if context.invoked_subcommand is not None:
+        return
+    if not 1 <= workers <= 256:
+        raise ConfigError(f"--workers must be from 1 to 256, got {workers}")
+    from cell.config import load, to_dict
+    from cell.trials import plots, settings
+    from cell.trials.campaign import Campaign, read
+    from cell.trials.schedule import schedule
+    from cell.trials.schedule import shard as part
+    from cell.trials.show import Console, show, watched
+    from cell.trials.workers import Cluster, Local, Workers
+
+    if report:
+        plots.check()
+    cell = {k: v for k, v in to_dict(load(config)).items() if k != "port"}
+    chosen = settings.Settings(
+        settings.people(people), rounds, settings.contenders(policies, perception), onions, seed, backend,
+        perception, cell,
+    )  # fmt: skip
+    specs = part(schedule(chosen), shard)
+    team: Workers = Cluster(scheduler) if scheduler else Local(workers)
+    campaign = Campaign(out, chosen)
+    console = Console(stderr=True)
+    try:
+        with watched(console, campaign, specs, workers) as tell:
+            outcome = campaign.run(specs, team, record, tell)
+    except KeyboardInterrupt:
+        print(f"cell: interrupted; the same command continues in {out}", file=sys.stderr)
+        raise typer.Exit(INTERRUPTED) from None
+    for problem in outcome.problems:
+        console.print(f"[red]not run: {problem}[/red]", highlight=False)
+    summary = _write(out, report)
+    show(console, summary, out)
+    mine = {spec.id for spec in specs}
+    records = [r for r in read(out).records if r["id"] in mine]
+    raise typer.Exit(0 if len(records) == len(specs) and all(map(_good, records)) else FAILED)
+
+
+@trials.command("report")
+def rebuild(folder: Folder) -> None:
+    """Write the tables, plots and report.html of a campaign again."""
+    from cell.trials.show import Console, show
+
+    show(Console(stderr=True), _write(folder, True), folder)
+
+
+def _write(folder: Path, report: bool) -> dict[str, Any]:
+    from cell.trials import report as html
+    from cell.trials import tables
+    from cell.trials.campaign import read
+
+    return html.build(read(folder)) if report else tables.write(read(folder))
+
+
+def _good(record: dict[str, Any]) -> bool:
+    result = record["result"]
+    return not result["failure"] and not result["dropped"] and result["sorted"] >= result["onions"]
