@@ -31,6 +31,8 @@ _WAKE = 0.005
 """The longest that queries wait while the plant says nothing [s]."""
 _MOST_BEHIND = 12
 """Reports that may wait; older ones are skipped [control periods]."""
+_MOST = 1000
+"""More messages than fit into the link."""
 _SWAP_TIME = 5.0
 """How long the plant may take to put a new batch in place [s]."""
 
@@ -56,7 +58,7 @@ class Eyes:
         self._service.close()
 
     def _follow(self) -> None:
-        messages = self._exchange.receive()
+        messages = self._exchange.receive(_MOST)
         snapshots = [m for m in messages if isinstance(m, Snapshot)][-_MOST_BEHIND:]
         for message in messages:
             if isinstance(message, Touch):
@@ -74,7 +76,7 @@ class Eyes:
 
     def _renew(self, seed: int, onions: int, persona: str) -> None:
         batch = self._backend.renew(seed, onions, persona)
-        self._exchange.receive(1000)  # what was said meanwhile is about the old batch
+        self._exchange.receive(_MOST)  # what was said meanwhile is about the old batch
         self._hand = None
         self._exchange.send(batch)
         end = perf_s() + _SWAP_TIME

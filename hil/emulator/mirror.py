@@ -136,6 +136,11 @@ class MirrorBackend(SimBackend):
         self._contacts = contacts  # the arm goes on, and so does its count
         self._number += 1
 
+    def _expose_due(self) -> None:
+        """A camera whose last picture is still being drawn leaves one out, or it would lag behind."""
+        if not any(camera.busy for camera in self._cameras.values() if camera.config.rate > 0.0):
+            super()._expose_due()
+
     def _build(self, seed: int, onions: int, persona: str) -> None:
         self._persona = persona
         self.reset(seed, onions)

@@ -162,6 +162,11 @@ class Camera:
         self._periods = periods
         return True
 
+    @property
+    def busy(self) -> bool:
+        """Frames were exposed that are not delivered yet."""
+        return bool(self._waiting)
+
     def expose(self, now: float, picture: Pending) -> None:
         """Take a frame of the ideal `picture` at time `now` [s]; `due` delivers it later."""
         self.seq += 1

@@ -93,7 +93,7 @@ def test_the_person_lives_in_the_mirror() -> None:
     """Against a plant that only lets the hand carry: what is held, moves, and is let go."""
     with sim(1, 8, "") as plant, mirror(1, 8, "ana", rate=1.0) as seen:
         held: set[int] = set()
-        last = None
+        last, frames = None, []
         for k in range(round(25.0 / PERIOD)):
             hand = seen.live(report(plant, T0 + k * PERIOD))
             gesture = seen.truth().person.gesture if k % 50 == 0 else ""  # type: ignore[union-attr]
@@ -107,14 +107,26 @@ def test_the_person_lives_in_the_mirror() -> None:
             elif last is not None and last.onion >= 0:
                 assert last.batch == 1
             last = hand
+            frames += seen.take_frames()
             plant.world.substep()
         truth = seen.truth()
         assert truth.person is not None and truth.person.name == "ana"
         assert truth.t == pytest.approx(T0 + 25.0, abs=0.1)
         assert held and truth.by_human.sum() >= len(held) - 1 > 0
-        frames = seen.take_frames()
         assert {frame.camera for frame in frames} == {"person"}
         assert len(frames) == pytest.approx(25, abs=1)
+
+
+def test_a_camera_that_cannot_keep_up_leaves_pictures_out() -> None:
+    with sim(1, 2, "") as plant, mirror(1, 2, "ana") as seen:
+        for k in range(100):  # eight pictures' time, and nobody looks
+            seen.live(report(plant, T0 + k * PERIOD))
+        (frame,) = seen.take_frames()
+        assert frame.t == pytest.approx(T0, abs=0.11)
+        seen.live(report(plant, T0 + 100 * PERIOD))
+        seen.live(report(plant, T0 + 115 * PERIOD))
+        (frame,) = seen.take_frames()
+        assert frame.t >= T0 + 100 * PERIOD
 
 
 def test_reports_of_another_batch_move_no_onions() -> None:
