@@ -340,10 +340,10 @@ def test_contact_detection_stops_a_move() -> None:
     r = c.robot
     r.wrench = lambda: np.array([0, 0, -20.0 if r.now > 0.5 else 0.0, 0, 0, 0])
     c.call(62, 0, 0, 1, 0, 0, 0)
-    c.call(MOVEJ, *(HOME + 1.0), 1.0, 2.0, ints=(1,))
+    c.call(MOVEJ, *(HOME + np.array([1.0, 0, 0, 0, 0, 0])), 1.0, 2.0, ints=(1,))
     r.until(lambda: not c.operation[0], 5.0)
     r.tick(1500)
-    assert not r.mover.moving and 0.01 < r.mover.q[0] - HOME[0] < 0.5
+    assert not r.mover.moving and r.mover.q[0] - HOME[0] == pytest.approx(0.25, abs=0.01)
     c.call(63)
     assert c.answer > 0
 
