@@ -11,6 +11,8 @@ import typer
 from cell.errors import ConfigError
 
 FAILED, INTERRUPTED = 1, 130
+_PREDICTS = 0.10
+"""Goal for the abstract task's error, as a share of the measured sort time."""
 
 trials = typer.Typer(
     help="Run the published experiment in simulation, headless; a stopped campaign continues.",
@@ -94,6 +96,44 @@ def rebuild(folder: Folder) -> None:
     from cell.trials.show import Console, show
 
     show(Console(stderr=True), _write(folder, True), folder)
+
+
+@trials.command()
+def calibrate(
+    source: Annotated[Path, typer.Option("--from", help="Folder of a campaign.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for what is written; else inside the other.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the training.")] = 1,
+    iterations: Annotated[int | None, typer.Option(help="Passes of training; else the tuned number.")] = None,
+    install: Annotated[bool, typer.Option("--install", help="Ship the result with the package.")] = False,
+) -> None:
+    """Measure the actions' durations, train the policies anew on them, say how well the task predicts.
+
+    Exit code 1 when the task's sort times are more than 10 % off for a policy.
+    """
+    from importlib.util import find_spec
+
+    if find_spec("torch") is None:
+        raise ConfigError("training needs torch: pip install 'sorting-cell[learn]' (or -e .[learn])")
+    if not 0 <= seed < 2**31:
+        raise ConfigError(f"--seed must be from 0 to 2^31 - 1, got {seed}")
+    if iterations is not None and not 1 <= iterations <= 100_000:
+        raise ConfigError(f"--iterations must be from 1 to 100000, got {iterations}")
+    from cell.trials import calibrate as chain
+    from cell.trials.campaign import read
+
+    folder = out or source / "calibration"
+    found = chain.calibrate(read(source), folder, seed, iterations, lambda text: print(text, flush=True))
+    for row in found["rows"]:
+        print(
+            f"{row['policy']}: measured {row['measured_s']:.1f} s, predicted {row['predicted_s']:.1f} s "
+            f"({100 * row['error_share']:+.1f} %); onions by the person {row['by_human_measured']:.1f}, "
+            f"predicted {row['by_human_predicted']:.1f}"
+        )
+    for path in chain.install(folder) if install else ():
+        print(f"installed {path}")
+    raise typer.Exit(0 if all(abs(row["error_share"]) <= _PREDICTS for row in found["rows"]) else FAILED)
 
 
 def _write(folder: Path, report: bool) -> dict[str, Any]:

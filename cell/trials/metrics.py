@@ -110,7 +110,7 @@ def delays(log: Log) -> Figures:
         for k in ("down_to_request", "down_to_industrial", "down_to_answer", "up_to_answer", "up_to_slow")
     }
     ends = [g.shown for g in log.gestures[1:]] + [float(t[-1])]
-    for sign, end in zip(log.gestures, ends, strict=True):
+    for sign, end in zip(log.gestures, ends, strict=False):
         after = (t >= sign.shown - _EARLY) & (t < max(end, sign.shown + 1.0))
         if sign.sign == "down":
             for name, what in (("down_to_request", requested), ("down_to_industrial", industrial)):

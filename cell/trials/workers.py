@@ -54,7 +54,7 @@ class Running:
                 folder = Path(name)
                 if code == 0:
                     return {e: (folder / f"round.{e}").read_bytes() for e in (EVENTS, TICKS, RESULT)}
-                if code == 2 and "in use" not in words:  # it said what is wrong: trying again will not help
+                if code > 0 and "in use" not in words:  # it said what is wrong: trying again will not help
                     return words
         return words
 
