@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections import deque
 from dataclasses import asdict
@@ -38,7 +39,9 @@ def save(run: TbDecAirl, path: Path) -> None:
         "kind": "tb-decairl run",
         "iteration": str(run.iteration),
         "preset": run.preset.name,
+        "rules": json.dumps(asdict(run.preset), sort_keys=True),
         "settings": json.dumps(asdict(run.settings), sort_keys=True),
+        "expert": _digest(run.expert),
     }
     part = path.with_suffix(path.suffix + ".part")
     save_file(tensors, part, metadata=about)
@@ -47,12 +50,17 @@ def save(run: TbDecAirl, path: Path) -> None:
 
 def _same_run(run: TbDecAirl, about: dict[str, str], path: Path) -> None:
     """Refuse a checkpoint of another run, and name what differs."""
-    try:
-        theirs: dict[str, object] = {"preset": about.get("preset"), **json.loads(about.get("settings", "{}"))}
-    except (TypeError, ValueError):
-        raise ConfigError(f"cannot read checkpoint {path}: its settings are damaged") from None
-    ours = {"preset": run.preset.name, **json.loads(json.dumps(asdict(run.settings)))}
+    ours: dict[str, object] = {}
+    theirs: dict[str, object] = {}
+    for key, owned in (("rules", run.preset), ("settings", run.settings)):
+        ours |= json.loads(json.dumps(asdict(owned)))
+        try:
+            theirs |= json.loads(about.get(key, "{}"))
+        except (TypeError, ValueError):
+            raise ConfigError(f"cannot read checkpoint {path}: its {key} are damaged") from None
     different = [f"{k} {theirs.get(k)}, not {v}" for k, v in ours.items() if theirs.get(k) != v]
+    if not different and about.get("expert") != _digest(run.expert):
+        different = ["other demonstrations, or another belief along them"]
     if different:
         raise ConfigError(
             f"{path} belongs to another run ({'; '.join(different)}); continue it with its own options, "
@@ -60,11 +68,20 @@ def _same_run(run: TbDecAirl, about: dict[str, str], path: Path) -> None:
         )
 
 
+def _digest(pool: Transitions) -> str:
+    """Fingerprint of the expert's transitions; beliefs of other weights or labels change it too."""
+    out = hashlib.sha256()
+    for key in _FIELDS:
+        value: Tensor = getattr(pool, key)
+        out.update(value.contiguous().numpy().tobytes())
+    return out.hexdigest()
+
+
 def restore(run: TbDecAirl, path: Path) -> None:
     """Bring a freshly made run to where the checkpoint was written.
 
     Raises:
-        ConfigError: missing, damaged, or of another preset or other settings.
+        ConfigError: missing, damaged, or of another task, other settings or other demonstrations.
     """
     about, tensors = _read(path)
     _same_run(run, about, path)

@@ -20,10 +20,11 @@ from cell.learn.belief import store
 from cell.learn.belief.auc import auc, beliefs
 from cell.learn.belief.bank import BeliefBank
 from cell.learn.belief.bank import bank as bank_of
-from cell.learn.belief.gru import GruBelief, save_gru
+from cell.learn.belief.gru import GruBelief, GruNet, save_gru
 from cell.learn.belief.pretrain import MIXED, mixed_data, pretrain
-from cell.learn.belief.tracker import last_gesture
+from cell.learn.belief.tracker import BeliefTracker, last_gesture
 from cell.learn.demonstrations import LABELS, expert, play
+from cell.learn.domain.exact import SemiMarkovFilter, solvable
 from cell.learn.domain.experts import without_forcing
 from cell.learn.domain.presets import Preset, preset
 from cell.learn.domain.vector import make
@@ -95,12 +96,24 @@ def train_belief(
     about = {"preset": preset_name, "label": label, "seed": str(seed), "updates": str(updates)}
     about["recovery"] = f"{MIXED[0]}..{MIXED[-1]}"
     save_gru(net, target, about)
-    scores = {}
-    for recovery in (6, 10, 20, 30, 40):
-        test = mixed_data(rules, label, (recovery,), 100, seed + 1_000_000)
-        scores[str(recovery)] = auc(beliefs(GruBelief(net), test), test.types[1:])
-    write_json(target.with_suffix(".json"), {**about, "auc_by_recovery": scores})
+    write_json(target.with_suffix(".json"), {**about, **tested(rules, label, net, seed + 1_000_000)})
     return target
+
+
+def tested(rules: Preset, label: str, net: GruNet, seed: int) -> dict[str, dict[str, float]]:
+    """AUC over 100 expert episodes at each of several recovery times; beside it, where there is one, that
+    of the exact filter, which is told the recovery time."""
+    scores: dict[str, dict[str, float]] = {"auc_by_recovery": {}}
+    if solvable(rules):
+        scores["filter_auc_by_recovery"] = {}
+    for recovery in (6, 10, 20, 30, 40):
+        test = mixed_data(rules, label, (recovery,), 100, seed)
+        trackers: list[BeliefTracker] = [GruBelief(net)]
+        if solvable(rules):
+            trackers.append(SemiMarkovFilter(replace(rules, recovery=recovery), label))
+        for into, tracker in zip(scores.values(), trackers, strict=True):
+            into[str(recovery)] = auc(beliefs(tracker, test), test.types[1:])
+    return scores
 
 
 def bank_for(rules: Preset, label: str, weights: Path | None = None) -> BeliefBank:

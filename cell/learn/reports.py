@@ -10,15 +10,16 @@ from cell.learn.belief.bank import BeliefBank
 from cell.learn.demonstrations import LABELS
 from cell.learn.domain.presets import Preset
 from cell.learn.job import Job, Tick
-from cell.learn.studies import MISSED, fig4, recovery, robustness, theorem1
+from cell.learn.studies import MISSED, fig4, prices, recovery, robustness, theorem1
 from cell.learn.table1 import LEARNERS, table1
-from cell.learn.yardsticks import Row
+from cell.learn.yardsticks import RECOVERIES, Row
 
 REPORTS: dict[str, Callable[[Preset, BeliefBank, Job, Tick], list[Row]]] = {
     "table1": table1,
     "fig4": fig4,
     "theorem1": theorem1,
     "recovery": recovery,
+    "prices": prices,
     "robustness": robustness,
 }
 
@@ -30,6 +31,7 @@ def steps(what: str, presets: tuple[tuple[str, int], ...], job: Job) -> int:
         "fig4": len(LABELS),
         "theorem1": 2 * job.seeds,
         "recovery": 3,
+        "prices": len(RECOVERIES),
         "robustness": len(MISSED),
     }
     return per[what] * len(presets)
@@ -52,6 +54,18 @@ def draw(what: str, rows: list[Row], path: Path) -> None:
     elif what == "theorem1":
         bounds = {f"{r['method']} {r['seed']}": (r["policy_gap"], 0.0) for r in last}
         plots.bars(path, {title: bounds}, "log-likelihood gap (discounted)")
+    elif what == "prices":
+        gains: dict[str, list[tuple[float, float]]] = {}
+        of_one = [r for r in rows if r["preset"] == rows[-1]["preset"]]
+        blind = {(r["recovery"], r["price"]): r for r in of_one if r["method"] == "dec-airl"}
+        for r in of_one:
+            if r["method"] == "tb-decairl":
+                key = r["recovery"], r["price"]
+                gain = r["reward_priced"]["mean"] - blind[key]["reward_priced"]["mean"]
+                gains.setdefault(f"price {r['price']:g}", []).append((float(r["recovery"]), gain))
+        plots.lines(
+            path, gains, "recovery time [steps]", "TB-DecAIRL's reward less Dec-AIRL's", rows[0]["preset"]
+        )
     elif what == "robustness":
         over: dict[str, list[tuple[float, float]]] = {}
         for r in last:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -43,6 +44,23 @@ class Curve:
             "seconds": self.seconds,
             "evaluations": self.evaluations,
         }
+
+    @staticmethod
+    def load(path: Path, iterations: int) -> Curve:
+        """What `as_dict` gave, up to an iteration: the part that came before a checkpoint.
+
+        Raises:
+            ConfigError: the file is no learning curve.
+        """
+        try:
+            data = json.loads(path.read_text(encoding="utf-8"))
+            progress = [Progress(**p) for p in data["progress"]][:iterations]
+            seconds = [float(s) for s in data["seconds"]][:iterations]
+            last = progress[-1].env_steps if progress else 0
+            shown = [dict(e) for e in data["evaluations"] if e["env_steps"] <= last]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise ConfigError(f"cannot read learning curve {path}: {error}") from None
+        return Curve(progress, seconds, shown)
 
 
 def single_thread() -> None:
@@ -91,13 +109,17 @@ def train(
     """Run Algorithm 1 to the end.
 
     Args:
-        save_to: checkpoint file; an existing one is continued. evaluate_every: iterations between
+        save_to: checkpoint file; an existing one is continued, and with it the curve in the JSON file of
+            the same name. evaluate_every: iterations between
             evaluations of `episodes` episodes, greedy and sampled (0: none; their time is not counted).
         report: told of every iteration.
     """
+    curve = Curve()
     if save_to is not None and save_to.is_file():
         checkpoint.restore(run, save_to)
-    curve, spent, since = Curve(), 0.0, perf_s()
+        if save_to.with_suffix(".json").is_file():
+            curve = Curve.load(save_to.with_suffix(".json"), run.iteration)
+    spent, since = (curve.seconds or [0.0])[-1], perf_s()
     for progress in run.iterate():
         spent += perf_s() - since
         curve.progress.append(progress)
@@ -110,7 +132,8 @@ def train(
                 row |= {f"{decoding}_{key}": result[key]["mean"] for key in ("reward_priced", "reward_truth")}
             curve.evaluations.append(row)
         if save_to is not None and (progress.iteration % save_every == 0 or last):
-            checkpoint.save(run, save_to)
+            save_to.with_suffix(".json").write_text(json.dumps(curve.as_dict()), encoding="utf-8")
+            checkpoint.save(run, save_to)  # last: a curve that is ahead of its checkpoint is cut
         if report is not None:
             report(progress)
         since = perf_s()

@@ -1,4 +1,4 @@
-"""The other reports: Fig. 4, Theorem 1, recovery times, gestures that are missed."""
+"""The other reports: Fig. 4, Theorem 1, recovery times, prices, gestures that are missed."""
 
 from __future__ import annotations
 
@@ -12,19 +12,22 @@ from cell.learn.belief import store
 from cell.learn.belief.auc import auc, beliefs, roc
 from cell.learn.belief.bank import BeliefBank
 from cell.learn.belief.bank import bank as bank_of
+from cell.learn.belief.eq3 import fit_kernel
 from cell.learn.belief.ladder import ladder
 from cell.learn.belief.tracker import BeliefTracker, last_gesture
 from cell.learn.demonstrations import LABELS, expert, play, type_data
-from cell.learn.domain.exact import SemiMarkovFilter
+from cell.learn.domain.exact import BestResponse, SemiMarkovFilter, solvable
 from cell.learn.domain.presets import Preset
 from cell.learn.domain.vector import make
 from cell.learn.job import Job, Tick
 from cell.learn.metrics import Statistic, statistic, summary
 from cell.learn.table1 import learned
-from cell.learn.yardsticks import TEST_SEED, Row, row_of, transfer_rows
+from cell.learn.yardsticks import RECOVERIES, TEST_SEED, Row, dp_row, row_of, transfer_rows
 
 MISSED = (0.0, 0.1, 0.2, 0.3, 0.4)
 """Shares of thumbs that the camera takes for No-op."""
+PRICES = (0.0, 0.25, 0.5, 1.0)
+"""Of a step in industrial mode beside a person at work."""
 
 
 def fig4(rules: Preset, _: BeliefBank, job: Job, tick: Tick) -> list[Row]:
@@ -91,6 +94,10 @@ def theorem1(rules: Preset, bank: BeliefBank, job: Job, tick: Tick) -> list[Row]
     rows: list[Row] = []
     demos = runs.demonstrations(rules, bank)
     held_out = play(rules, bank, expert(rules), 200, TEST_SEED)
+    contraction = {}
+    for label in LABELS:
+        data = type_data(rules, label, 400, TEST_SEED)
+        contraction[label] = theory.contraction(fit_kernel(data.observed, data.types))
     for method in runs.METHODS:
         for seed in range(1, job.seeds + 1):
             run = runs.start(method, rules, bank, demos, job.settings.change(seed=seed))
@@ -100,6 +107,7 @@ def theorem1(rules: Preset, bank: BeliefBank, job: Job, tick: Tick) -> list[Row]
             rows.append(
                 {"preset": rules.name, "recovery": rules.recovery, "method": method, "seed": seed}
                 | terms.as_dict()
+                | {"kernel_contraction": contraction}
             )
             tick(f"{method} seed {seed}: eps {terms.eps_mean:.3f}, gap {terms.policy_gap:.2f}")
     return rows
@@ -110,15 +118,62 @@ def recovery(rules: Preset, bank: BeliefBank, job: Job, tick: Tick) -> list[Row]
     rows: list[Row] = []
     trained = {m: learned(m, rules, bank, job.settings) for m in ("tb-decairl", "dec-airl", "bc")}
     for method, actors in trained.items():
-        for time in (5, 10, 20, 30, 40):
+        for time in RECOVERIES:
             there = replace(rules, recovery=time)
             reference = summary(play(there, bank, expert(there), job.episodes, TEST_SEED))
             result = runs.evaluate(there, bank, actors, "greedy", job.episodes, TEST_SEED)
             base: Row = {"preset": rules.name, "trained_at": rules.recovery, "recovery": time}
             rows.append(row_of(base, method, "greedy", 1, [result], reference["reward_priced"]["mean"]))
         tick(method)
-    if rules.agents == ("robot", "human") and not rules.published:
+    if solvable(rules) and not rules.published:
+        rows += _hidden_beliefs(rules, job.episodes)
         rows += transfer_rows(rules, job.settings, job.episodes)
+    return rows
+
+
+def _hidden_beliefs(rules: Preset, episodes: int) -> list[Row]:
+    """The expert's rule by the belief of the hidden type: the GRU, which is not told how long rests last,
+    and the exact filter, which is."""
+    rows: list[Row] = []
+    mixed = store.gru_bank(rules.agents, store.load(rules.name, "hidden"))
+    for time in RECOVERIES:
+        there = replace(rules, recovery=time)
+        banks = {"GRU": mixed, "filter": bank_of(rules.agents, [SemiMarkovFilter(there, "hidden")])}
+        found = {k: summary(play(there, b, expert(there), episodes, TEST_SEED)) for k, b in banks.items()}
+        reference = _earned(there, last_gesture(), episodes)["mean"]
+        base: Row = {"preset": rules.name, "trained_at": rules.recovery, "recovery": time}
+        for name, result in found.items():
+            row = row_of(base, f"expert's rule, {name} of the hidden type", "greedy", 1, [result], reference)
+            row["ratio_to_filter"] = (
+                result["reward_priced"]["mean"] / found["filter"]["reward_priced"]["mean"]
+            )
+            rows.append(row)
+    return rows
+
+
+def prices(rules: Preset, bank: BeliefBank, job: Job, tick: Tick) -> list[Row]:
+    """What adapting is worth over recovery times and prices, learners trained at the preset's own.
+
+    Neither what happens nor what is demonstrated depends on the price, so a policy plays once at each
+    recovery time and is charged afterwards. Only the exact optimum depends on it.
+    """
+    trained = {m: learned(m, rules, bank, job.settings) for m in runs.METHODS}
+    rows: list[Row] = []
+    for time in RECOVERIES:
+        there = replace(rules, recovery=time)
+        played = {"expert": play(there, bank, expert(there), job.episodes, TEST_SEED)}
+        for method, actors in trained.items():
+            played[method] = runs.rollout_of(there, bank, actors, "greedy", job.episodes, TEST_SEED)
+        for price in PRICES:
+            base: Row = {"preset": rules.name, "trained_at": rules.recovery, "recovery": time, "price": price}
+            charged = {k: r.returns("truth") - price * r.priced_steps for k, r in played.items()}
+            for name, reward in charged.items():
+                result = summary(played[name]) | {"reward_priced": statistic(reward)}
+                rows.append(row_of(base, name, "greedy", 1, [result], float(charged["expert"].mean())))
+            if solvable(there):
+                best = BestResponse(replace(there, price=price)).value
+                rows.append(dp_row(base, best, float(charged["expert"].mean())))
+        tick(f"recovery {time}")
     return rows
 
 

@@ -8,7 +8,7 @@ from cell.learn import runs
 from cell.learn.belief import store
 from cell.learn.belief.bank import BeliefBank
 from cell.learn.demonstrations import expert, play
-from cell.learn.domain.exact import BestResponse
+from cell.learn.domain.exact import BestResponse, solvable
 from cell.learn.domain.experts import without_forcing
 from cell.learn.domain.presets import Preset
 from cell.learn.domain.vector import make
@@ -19,7 +19,7 @@ from cell.learn.optimise import optimise, true_reward
 from cell.learn.ppo import DecPpo
 from cell.learn.settings import Settings
 from cell.learn.transfer import refine
-from cell.learn.yardsticks import KEYS, TEST_SEED, Row, qmdp, row_of
+from cell.learn.yardsticks import TEST_SEED, Row, dp_row, qmdp, row_of
 
 RULES = ("expert", "never-speed-up", "always-industrial")
 """Hand-coded rules of the robot."""
@@ -48,11 +48,8 @@ def table1(rules: Preset, bank: BeliefBank, job: Job, tick: Tick) -> list[Row]:
         if method == "expert":
             reference = result["reward_priced"]["mean"]
         rows.append(row_of(base, method, "greedy", 0, [result], reference))
-    if rules.agents == ("robot", "human") and rules.seconds == 0.0:
-        bound = BestResponse(rules).value
-        exact: Row = {**base, "method": "dp", "decoding": "greedy", "seeds": 0}
-        exact |= {"ratio_to_expert": bound / reference} | {key: None for key in KEYS}
-        rows.append(exact | {"reward_priced": {"mean": bound, "sd": 0.0, "ci95": 0.0}})
+    if solvable(rules):
+        rows.append(dp_row(base, BestResponse(rules).value, reference))
         if not rules.published:
             rows.append(row_of(base, "qmdp", "greedy", 0, [qmdp(rules, job.episodes)], reference))
     methods = learners(rules)

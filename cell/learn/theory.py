@@ -13,9 +13,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from cell.learn.belief.eq3 import Kernel
 from cell.learn.discriminator import Discriminator, Transitions
 from cell.learn.networks import Actors
 from cell.learn.rollout import Rollout
+from cell.wire.vocabulary import Action
 
 DELTAS = (0.0, 0.5, 0.9, 1.0)
 
@@ -63,6 +65,15 @@ class Theorem1:
 def bound(agents: int, eps: float, gamma: float, delta: float) -> float:
     """Theorem 1's right-hand side: 8 N eps / (1 - gamma (1 - delta / 2))."""
     return 8.0 * agents * eps / (1.0 - gamma * (1.0 - delta / 2.0))
+
+
+def contraction(kernel: Kernel) -> dict[str, float | None]:
+    """Dobrushin's coefficient of Eq. 3's kernel for each observed action: the delta it contracts by.
+
+    None where a row was never seen, for then the kernel, and with it delta, is not defined.
+    """
+    apart = 0.5 * np.abs(kernel.table[:, 0] - kernel.table[:, 1]).sum(-1)  # (A,)
+    return {a.name.lower(): float(apart[a]) if kernel.seen[a].all() else None for a in Action}
 
 
 @torch.no_grad()

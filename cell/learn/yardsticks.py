@@ -24,6 +24,8 @@ Row = dict[str, Any]
 KEYS = ("onions", "reward_truth", "reward_priced", "reward_shaped", "priced_steps")
 TEST_SEED = 4321
 """Of all evaluation episodes in the tables: every method meets the same people and onions."""
+RECOVERIES = (5, 10, 20, 30, 40)
+"""Recovery times that the reports show [steps]."""
 
 
 def row_of(
@@ -38,6 +40,15 @@ def row_of(
     row["ratio_to_expert"] = float(np.mean(ratios))
     row["ratio_by_seed"] = ratios
     return row
+
+
+def dp_row(base: Row, value: float, reference: float) -> Row:
+    """The row of the exact optimum, which has an expected reward and nothing else."""
+    row: Row = {**base, "method": "dp", "decoding": "greedy", "seeds": 0} | dict.fromkeys(KEYS)
+    return row | {
+        "reward_priced": {"mean": value, "sd": 0.0, "ci95": 0.0},
+        "ratio_to_expert": value / reference,
+    }
 
 
 class _Watcher:

@@ -13,15 +13,15 @@ from cell.learn.belief.bank import bank
 from cell.learn.belief.tracker import last_gesture
 from cell.learn.domain.presets import preset
 from cell.learn.settings import tuned
-from cell.learn.tb_decairl import TbDecAirl
+from cell.learn.tb_decairl import Progress, TbDecAirl
 
 SMALL = tuned(iterations=4, envs=4, discriminator_steps=3, minibatch=200, replay=2)
 
 
-def fresh() -> TbDecAirl:
-    rules = preset("paper")
+def fresh(episodes: int = 4, **changes: int) -> TbDecAirl:
+    rules = preset("paper", **changes)
     beliefs = bank(rules.agents, [last_gesture()])
-    return runs.start("tb-decairl", rules, beliefs, runs.demonstrations(rules, beliefs, 4), SMALL)
+    return runs.start("tb-decairl", rules, beliefs, runs.demonstrations(rules, beliefs, episodes), SMALL)
 
 
 def test_resumed_run_is_bit_identical(tmp_path: Path) -> None:
@@ -44,6 +44,25 @@ def test_resumed_run_is_bit_identical(tmp_path: Path) -> None:
     assert checkpoint.settings_of(tmp_path / "c.safetensors") == ("paper", SMALL)
 
 
+def test_the_curve_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    class Interrupted(Exception):
+        pass
+
+    def stop(progress: Progress) -> None:
+        if progress.iteration == 3:
+            raise Interrupted
+
+    path, whole = tmp_path / "c.safetensors", runs.train(fresh())
+    with pytest.raises(Interrupted):
+        runs.train(fresh(), path, save_every=2, report=stop)
+    resumed = runs.train(fresh(), path, save_every=2)
+    assert resumed.progress == whole.progress  # of all four iterations, two of them from the file
+    assert len(resumed.seconds) == 4 and resumed.seconds == sorted(resumed.seconds)
+    path.with_suffix(".json").write_text("{")
+    with pytest.raises(ConfigError, match="cannot read learning curve"):
+        runs.train(fresh(), path)
+
+
 def test_wrong_checkpoints_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "c.safetensors"
     with pytest.raises(ConfigError, match="cannot read"):
@@ -53,6 +72,10 @@ def test_wrong_checkpoints_are_refused(tmp_path: Path) -> None:
     other.settings = SMALL.change(seed=9)
     with pytest.raises(ConfigError, match="belongs to"):
         checkpoint.restore(other, path)
+    with pytest.raises(ConfigError, match="recovery 20, not 10"):
+        checkpoint.restore(fresh(recovery=10), path)
+    with pytest.raises(ConfigError, match="other demonstrations"):
+        checkpoint.restore(fresh(episodes=5), path)
     path.write_bytes(path.read_bytes()[:200])
     with pytest.raises(ConfigError, match="cannot read"):
         checkpoint.restore(fresh(), path)

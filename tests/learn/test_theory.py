@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cell.learn.theory import bound, change_ratios
+from cell.learn.belief.eq3 import fit_kernel
+from cell.learn.theory import bound, change_ratios, contraction
 
 
 def test_bound_by_hand() -> None:
@@ -17,3 +18,12 @@ def test_bound_by_hand() -> None:
 def test_belief_change_ratios() -> None:
     belief = np.array([0.0, 0.5, 0.75, 0.75, 1.0], np.float32).reshape(-1, 1, 1, 1)
     assert change_ratios(belief).tolist() == [0.5, 0.0]
+
+
+def test_contraction_by_hand() -> None:
+    """After No-op one of two rests goes on and nobody tires; after thumbs-down all are rested; no Pick."""
+    observed = np.array([[0, 0, 0], [8, 8, 8]], np.int8)
+    types = np.array([[0, 1, 1], [0, 1, 0], [0, 0, 0]], np.int8)
+    delta = contraction(fit_kernel(observed, types))
+    assert delta["no_op"] == pytest.approx(0.5)
+    assert delta["pick"] is None and delta["slow_down"] == pytest.approx(0.0)

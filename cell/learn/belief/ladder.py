@@ -12,7 +12,7 @@ from cell.learn.belief.hmm import HmmBelief, fit_hmm
 from cell.learn.belief.pretrain import pretrain
 from cell.learn.belief.tracker import BeliefTracker, NoBelief, last_gesture
 from cell.learn.demonstrations import type_data
-from cell.learn.domain.exact import SemiMarkovFilter
+from cell.learn.domain.exact import SemiMarkovFilter, solvable
 from cell.learn.domain.presets import Preset
 
 _TRAIN_SEED = 1_000_003
@@ -54,7 +54,7 @@ def ladder(
         "first-order HMM": HmmBelief(fit_hmm(data.observed, data.types), prior),
         "GRU": GruBelief(pretrain(rules, label, (rules.recovery,), episodes, 1, updates)),
     }
-    if rules.agents == ("robot", "human") and rules.seconds == 0.0:
+    if solvable(rules):
         trackers["semi-Markov filter"] = SemiMarkovFilter(rules, label)
     if shipped is not None:
         trackers["GRU, mixed recovery"] = shipped.about[person]

@@ -45,13 +45,18 @@ class HumanChain:
     types: dict[str, NDArray[np.int64]]
 
 
+def solvable(rules: Preset) -> bool:
+    """Whether the exact solution speaks of a preset: one robot and one human, acting in step."""
+    return rules.agents == ("robot", "human") and rules.seconds == 0.0
+
+
 def human_chain(rules: Preset) -> HumanChain:
     """Enumerate the human's states from where episodes start.
 
     Raises:
         ConfigError: the preset has other agents than one robot and one human.
     """
-    if rules.agents != ("robot", "human") or rules.seconds > 0.0:
+    if not solvable(rules):
         raise ConfigError("the exact solution is for one robot and one human, in steps")
     table, policy = tables(rules, "human"), expert_actions(rules, 1)[:, 0]
     after, fatigued = phases(rules)

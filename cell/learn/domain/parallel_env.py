@@ -12,11 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from cell.learn.domain.local import ACTIONS, FEATURES, LOCALS
+from cell.errors import ConfigError, one_of
+from cell.learn.domain.local import ACTIONS, LOCALS, SIZE
 from cell.learn.domain.presets import Preset, preset
+from cell.learn.domain.semi_markov import SemiMarkovDomain
 from cell.learn.domain.vector import VectorDomain, make
 from cell.wire.vocabulary import OnionLocation, Prediction
 
+REWARDS = ("truth", "priced", "shaped")
 Observation = dict[str, NDArray[Any]]
 
 
@@ -24,8 +27,9 @@ class SortingParallelEnv(ParallelEnv[str, Observation, int]):
     """Agents "robot_0", "human_1", ... with common reward.
 
     Observation of an agent: `observation` (17,) float32 in the published order (onion 4, hand 4,
-    prediction 3, interaction 2, own type 2, indicated 2), and `action_mask` (9,) int8. The info of a
-    step holds `observed`, the actions as the others see them, and the other rewards.
+    prediction 3, interaction 2, own type 2, indicated 2), and `action_mask` (9,) int8. Where actions take
+    time a step is an event, and an 18th number says whether the agent is busy. The info of a step holds
+    `observed`, the actions as the others see them, and the other rewards.
 
     Args:
         rules: a preset or its name. reward: "truth", "priced" or "shaped".
@@ -35,13 +39,16 @@ class SortingParallelEnv(ParallelEnv[str, Observation, int]):
 
     def __init__(self, rules: Preset | str = "paper", reward: str = "priced") -> None:
         self.rules = preset(rules) if isinstance(rules, str) else rules
+        if reward not in REWARDS:
+            raise ConfigError(f"reward: {one_of(reward, REWARDS)}")
         self.render_mode = None
         self._reward = f"reward_{reward}"
         self.possible_agents = [f"{role}_{i}" for i, role in enumerate(self.rules.agents)]
         self.agents: list[str] = []
+        timed = int(self.rules.seconds > 0.0)
         seen = gymnasium.spaces.Dict(
             {
-                "observation": gymnasium.spaces.Box(0.0, 1.0, (17,), np.float32),
+                "observation": gymnasium.spaces.Box(0.0, 1.0, (17 + timed,), np.float32),
                 "action_mask": gymnasium.spaces.Box(0, 1, (ACTIONS,), np.int8),
             }
         )
@@ -85,6 +92,8 @@ class SortingParallelEnv(ParallelEnv[str, Observation, int]):
         step = self._domain.step(chosen)
         self._local, self._t = step.local[0], self._t + 1
         over, late = not bool(step.alive[0]), self._t >= self.rules.horizon
+        if isinstance(self._domain, SemiMarkovDomain):
+            late = late or bool(self._domain.time[0] >= self.rules.seconds)
         info: dict[str, Any] = {
             "observed": step.observed[0].tolist(),
             **{k: float(getattr(step, k)[0]) for k in ("reward_truth", "reward_priced", "reward_shaped")},
@@ -108,7 +117,7 @@ class SortingParallelEnv(ParallelEnv[str, Observation, int]):
             i = self.possible_agents.index(agent)
             state = int(self._local[i])
             flag = np.eye(2, dtype=np.float32)[int(together)]
-            row = FEATURES[state]
+            row = self._domain.features[state]
             out[agent] = {
                 "observation": np.concatenate([row[:11], flag, row[11:]]),
                 "action_mask": self._domain.mask[i, state].astype(np.int8),
@@ -121,7 +130,8 @@ def interaction(local: NDArray[np.integer]) -> bool:
 
     Both onions Unknown, or both OnConveyor, or both InFront with prediction Good.
     """
-    onion, prediction = LOCALS.onion[local], LOCALS.prediction[local]
+    free = local % SIZE  # where actions take time, what the busy twin is the twin of
+    onion, prediction = LOCALS.onion[free], LOCALS.prediction[free]
     same = (onion == onion[0]).all()
     if not same:
         return False
