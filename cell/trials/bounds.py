@@ -11,10 +11,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-from cell.config import CellConfig, to_dict
+from cell.config import CellConfig
 from cell.errors import ConfigError
 from cell.trials.campaign import Record
-from cell.trials.settings import Settings, contenders, people
+from cell.trials.settings import Settings, cell_data, contenders, people
 from cell.trials.tables import completed
 
 ROOM = 0.15
@@ -30,10 +30,9 @@ MISPLACED = 0.05
 def settings(bounds: Record, config: CellConfig) -> Settings:
     """The campaign that a bounds file names."""
     suite = bounds["suite"]
-    cell = {k: v for k, v in to_dict(config).items() if k != "port"}
     return Settings(
         people(suite["people"]), suite["rounds"], contenders(suite["policies"], suite["perception"]),
-        suite["onions"], suite["seed"], "sim", suite["perception"], cell,
+        suite["onions"], suite["seed"], "sim", suite["perception"], cell_data(config),
     )  # fmt: skip
 
 

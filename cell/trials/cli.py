@@ -56,7 +56,7 @@ def run(
         return
     if not 1 <= workers <= 256:
         raise ConfigError(f"--workers must be from 1 to 256, got {workers}")
-    from cell.config import load, to_dict
+    from cell.config import load
     from cell.trials import plots, settings
     from cell.trials.campaign import Campaign, read
     from cell.trials.schedule import schedule
@@ -66,10 +66,9 @@ def run(
 
     if report:
         plots.check()
-    cell = {k: v for k, v in to_dict(load(config)).items() if k != "port"}
     chosen = settings.Settings(
         settings.people(people), rounds, settings.contenders(policies, perception), onions, seed, backend,
-        perception, cell,
+        perception, settings.cell_data(load(config)),
     )  # fmt: skip
     specs = part(schedule(chosen), shard)
     team: Workers = Cluster(scheduler) if scheduler else Local(workers)

@@ -6,6 +6,7 @@ import json
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
+from cell.config import CellConfig, to_dict
 from cell.errors import ConfigError, one_of
 from cell.trials.contenders import Contender, contender
 
@@ -70,6 +71,13 @@ class Settings:
     def as_dict(self) -> dict[str, Any]:
         """For the manifest."""
         return json.loads(json.dumps({"format": FORMAT, **asdict(self)}))  # type: ignore[no-any-return]
+
+
+def cell_data(config: CellConfig) -> dict[str, Any]:
+    """A cell as the manifest keeps it: plain JSON, without the port, which every round chooses."""
+    data: dict[str, Any] = json.loads(json.dumps(to_dict(config)))
+    del data["port"]
+    return data
 
 
 def people(text: str) -> tuple[str, ...]:
