@@ -24,11 +24,13 @@ from hil.emulator.plant import IdealPlant, WorldPlant
 from hil.emulator.programs import recognise
 from hil.emulator.surroundings import Surroundings
 from hil.emulator.world_link import WORLD_PORT
+from hil.real_time import ask_for_real_time
 
 _LOOK = 0.1
 """How often it is looked whether everything still runs [s]."""
 _SWITCH = 0.0005
 """Longest that the gripper's thread keeps the interpreter from the controller's [s]."""
+_PRIORITY = 1
 _POWER_UP_TIME = 20.0
 
 
@@ -86,6 +88,7 @@ def emulate(config: CellConfig, options: EmulateOptions, say: Callable[[str], No
         emulator.start()
         gc.freeze()  # the world's many objects live as long as the process: no need to look at them
         sys.setswitchinterval(_SWITCH)
+        ask_for_real_time(_PRIORITY)  # this thread only waits, but needs the interpreter's lock for it
         if surroundings is not None:
             surroundings.wait_ready(told)
         if options.running and not options.faults:

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import math
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from cell.clock import WallClock, perf_s
+from cell.config import load
 from cell.errors import ConfigError
+from hil.emulator.emulator import FREE_PORTS, Emulator
 from hil.emulator.fault_syntax import KINDS, parse_fault
 from hil.emulator.faults import PlannedFaults, make_faults
+from hil.emulator.interfaces import SafetyMode
 from hil.emulator.interfaces_faults import Delivery, LinkFaults, Server
+from hil.emulator.models import model
+from hil.emulator.mover import Mover
+from hil.emulator.plant import IdealPlant
+from hil.emulator.programs import recognise
 
 DOC = Path(__file__).resolve().parents[2] / "docs" / "emulator.md"
 
@@ -183,3 +194,58 @@ def test_what_the_controller_says_of_itself() -> None:
     faults = make_faults(["version:is=3.15", "in_use:name=speed_slider_mask", "local_control"])
     assert faults.version() == (3, 15, 0, 0) and faults.remote_control() is False
     assert faults.in_use("speed_slider_mask") and not faults.in_use("input_int_register_24")
+
+
+# -- on a controller ----------------------------------------------------------------------------------
+
+
+@contextmanager
+def running(*faults: str) -> Iterator[Emulator]:
+    """A bare arm with its servers on free ports."""
+    arm, plant = model("ur3e"), IdealPlant(load())
+    emulator = Emulator(
+        "127.0.0.44", arm, plant, mover=Mover(arm), recognise=recognise, gripper=plant.gripper,
+        faults=make_faults(faults), ports=FREE_PORTS, power_up=True,
+    )  # fmt: skip
+    emulator.start()
+    try:
+        yield emulator
+    finally:
+        emulator.stop()
+
+
+def wait_for(condition: Callable[[], object]) -> None:
+    clock, end = WallClock(), perf_s() + 20.0
+    while not condition():
+        assert perf_s() < end, "waited in vain"
+        clock.sleep_until(clock.now() + 0.02)
+
+
+def test_a_planned_stop_on_a_running_controller() -> None:
+    with running("protective_stop:at=2") as emulator:
+        wait_for(lambda: emulator.do(lambda c: c.safety_mode) is SafetyMode.PROTECTIVE_STOP)
+        assert emulator.do(lambda c: c.now) >= 2.0
+
+
+def test_a_planned_cut_of_a_running_server() -> None:
+    with running("cut:port=dashboard,at=1.5") as emulator:
+        with socket.create_connection(("127.0.0.44", emulator.ports.dashboard), 5.0) as sock:
+            if emulator.do(lambda c: c.now) > 1.4:
+                pytest.skip("the machine was too busy to connect in time")
+            sock.settimeout(20.0)
+            assert sock.recv(100).startswith(b"Connected")
+            assert sock.recv(100) == b""
+        with socket.create_connection(("127.0.0.44", emulator.ports.dashboard), 5.0) as sock:
+            assert sock.recv(100).startswith(b"Connected")
+
+
+def test_a_false_version_on_the_dashboard() -> None:
+    with (
+        running("version:is=3.15.8", "local_control") as emulator,
+        socket.create_connection(("127.0.0.44", emulator.ports.dashboard), 5.0) as sock,
+    ):
+        sock.recv(100)
+        sock.sendall(b"PolyscopeVersion\n")
+        assert b"3.15.8" in sock.recv(100)
+        sock.sendall(b"is in remote control\n")
+        assert sock.recv(100) == b"false\n"

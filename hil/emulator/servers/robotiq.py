@@ -15,9 +15,11 @@ from hil.emulator.interfaces_faults import Faults, NoFaults, Server
 from hil.emulator.robotiq import ALIASES, READABLE, WRITABLE, Robotiq
 from hil.emulator.servers.connection import Connection
 from hil.emulator.servers.server import Loop
+from hil.real_time import ask_for_real_time
 
 PORT = 63352
 _PERIOD = 0.01
+_PRIORITY = 1
 _MAX_LINE = 1024
 _JOIN_TIME = 2.0
 
@@ -56,7 +58,7 @@ class RobotiqServer:
             Server.GRIPPER, (self._listen, self.port), lambda connection: _Speaker(connection, self._gripper)
         )
         self._loop = loop
-        self._thread = threading.Thread(target=loop.run, name="gripper server", daemon=True)
+        self._thread = threading.Thread(target=_run, args=(loop,), name="gripper server", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
@@ -71,6 +73,12 @@ class RobotiqServer:
         now = self._clock.now() - self._born
         self._gripper.tick(now)
         return now
+
+
+def _run(loop: Loop) -> None:
+    # Without a processor while it has the interpreter's lock, this thread would hold up the controller's.
+    ask_for_real_time(_PRIORITY)
+    loop.run()
 
 
 class _Speaker:
