@@ -23,6 +23,7 @@ from cell.errors import BackendError, CellError, ConfigError
 from cell.wire.session import Session
 from hil.backend import make_backend
 from hil.node import Node
+from hil.real_time import prefer_process
 
 
 def main() -> int:
@@ -49,6 +50,8 @@ def main() -> int:
             robot_ip=args.robot_ip,
             cameras=args.cameras,
         )
+        if not backend.steppable:
+            prefer_process()
         with Session.listen(config, patient=args.lock_step) as session:  # a port in use shows at once
             try:
                 backend.connect()

@@ -113,9 +113,10 @@ class Guard:
 
     def status(self) -> ArmStatus:
         """The robot's state with the executor's and the lease's part filled in."""
-        e = self.executor
+        e, robot = self.executor, self._backend.read_status()
         return replace(
-            self._backend.read_status(),
+            robot,
+            speed_scaling=robot.speed_scaling * self._first.pace,
             trajectory_id=e.trajectory_id,
             progress=e.progress,
             moving=e.moving,

@@ -1,4 +1,4 @@
-"""Real-time scheduling for the threads whose lateness a moving arm would notice."""
+"""Scheduling for the threads whose lateness a moving arm would notice, as far as the system grants it."""
 
 from __future__ import annotations
 
@@ -16,6 +16,23 @@ def ask_for_real_time(priority: int, thread: int = 0) -> None:
     if hasattr(os, "sched_setscheduler"):
         with suppress(OSError):
             os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+
+
+def prefer_process() -> None:
+    """This process with all its threads: before everything that is not real-time.
+
+    A thread that has the interpreter's lock but no processor would hold up the real-time ones.
+    """
+    if hasattr(os, "sched_setscheduler"):
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+
+
+def be_ordinary() -> None:
+    """This process as any other, whatever started it."""
+    if hasattr(os, "sched_setscheduler"):
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def threads() -> list[int]:

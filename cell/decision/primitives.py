@@ -115,11 +115,14 @@ class Primitives:
         yield from self._accepted(order)
         moving = Following(self.config, path, order.id, began, cap, self._lead)
         deadline = self.now + path.duration + _SLACK
-        given_way = ""
+        given_way, before = "", self.now
         try:
             while True:
                 inputs = self._checked()
                 moving.note(inputs)
+                # the arm's path clock runs slower than ours where the controller says so
+                deadline += (self.now - before) * (1.0 - inputs.arm.speed_scaling)
+                before = self.now
                 self.waiting = moving.waiting
                 given_way = given_way or give_way()
                 if moving.ended(inputs) or (given_way and moving.waiting):

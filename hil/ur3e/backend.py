@@ -27,8 +27,6 @@ from hil.ur3e.lamp import lamp_bits
 from hil.ur3e.robotiq import Gripper
 
 INFO, WARN, ERROR = 20, 30, 40
-_CATCH_UP = 3
-"""Periods that a late node makes up for; the driver bridges them."""
 _ARM_TIME = 15.0
 """How long the control program may take to start [s]."""
 _PACKETS_BAD = 25
@@ -148,7 +146,7 @@ class Ur3eBackend:
         raise BackendError("the belt stands still and is filled by hand; start a new run for a new batch")
 
     def advance(self) -> None:
-        """Wait for the next cycle; a late one is made up for by up to `_CATCH_UP` periods."""
+        """Wait for the next cycle; a late one is made up for, as long as the driver bridges the gap."""
         self._connected()
         self._ticks += 1
         self._t = self._begin + self._ticks * self._period
@@ -158,7 +156,7 @@ class Ur3eBackend:
         if delay > 0.5 * self._period:
             self._late += 1
             self._worst = max(self._worst, delay)
-        if delay > _CATCH_UP * self._period:
+        if delay > self._config.ur3e.patience:
             self._ticks += int(delay / self._period)
             self._t = self._begin + self._ticks * self._period
         self._sample = self._newest()

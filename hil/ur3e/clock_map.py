@@ -9,9 +9,14 @@ _BUCKET = 2.0
 
 
 class ClockMap:
-    """Maps stamps of one device, whose clock may drift and may start again, to the wall clock."""
+    """Maps stamps of one device, whose clock may drift and may start again, to the wall clock.
 
-    def __init__(self) -> None:
+    Args:
+        longest: delays that differ by more are no delays: the device's clock stood still meanwhile [s].
+    """
+
+    def __init__(self, longest: float) -> None:
+        self._longest = longest
         self._newest = -math.inf
         self._restart(0.0)
 
@@ -26,5 +31,7 @@ class ClockMap:
         self._newest = stamp
         if seen - self._since > _BUCKET:
             self._since, self._before, self._now = seen, self._now, math.inf
+        if seen - stamp - min(self._now, self._before) > self._longest and self._now < math.inf:
+            self._restart(seen)
         self._now = min(self._now, seen - stamp)
         return stamp + min(self._now, self._before)

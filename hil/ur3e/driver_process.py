@@ -21,6 +21,7 @@ import msgspec
 from cell.clock import WallClock
 from cell.errors import BackendError
 from cell.limits import Q_MAX, QD_MAX
+from hil.real_time import be_ordinary
 from hil.ur3e.arm_link import UrRtde
 from hil.ur3e.block import Measurements, Orders, Six, attach
 from hil.ur3e.dashboard import stop_program
@@ -49,6 +50,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def main() -> int:
     """Drive until told to end; returns the exit code."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the supervisor's to handle
+    be_ordinary()  # ur-rtde waits for the controller in busy loops; only its receivers are preferred
     try:
         settings = msgspec.json.decode(sys.stdin.buffer.readline(), type=Settings)
         memory = attach(settings.memory)

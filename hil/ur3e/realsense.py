@@ -21,6 +21,8 @@ _COLOUR, _DEPTH, _RATE = (640, 480), (848, 480), 30
 """Streams: size [px], and pictures per second."""
 _WAIT = 500
 """[ms]"""
+_LONGEST = 0.5
+"""Pictures are not held up for longer [s]."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ class RealSense:
         except BackendError:
             opened.close()
             raise
-        self._opened, self._align, self._map = opened, rs.align(rs.stream.color), ClockMap()
+        self._opened, self._align, self._map = opened, rs.align(rs.stream.color), ClockMap(_LONGEST)
         self._host_time = (rs.timestamp_domain.global_time, rs.timestamp_domain.system_time)
         self._grabber = Grabber(self.name, self._grab, self._clock)
 

@@ -23,6 +23,8 @@ from hil.ur3e.setpoints import SetPoints
 
 _LATE = 0.5 * PERIOD
 _PRIORITY = 3
+_LONGEST = 0.03
+"""Packets are not held up for longer [s], unless the controller itself is."""
 _KICK_CYCLES = 10
 _REFUSALS = 10
 _LAMP_MASK = 0b111
@@ -54,7 +56,7 @@ class ServoLoop:
         self._link, self._orders, self._measurements, self._clock = link, orders, measurements, clock
         self._patience, self._stop_program, self._say = patience, stop_program, say
         self._points = SetPoints(q_max, qd_max)
-        self._map = ClockMap()
+        self._map = ClockMap(_LONGEST)
         self._order, self._order_count = Order(), 0
         self._packet = link.read()
         self._heard = clock.now()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import threading
 from collections.abc import Callable
@@ -77,7 +78,8 @@ class Bench:
 
     def __init__(self) -> None:
         self.link = FakeLink()
-        _, memory = shared_memory()
+        descriptor, memory = shared_memory()
+        os.close(descriptor)
         self.orders, self.measurements = Orders(memory), Measurements(memory)
         self.clock = StepClock(PERIOD)
         self.clock.tick = 500

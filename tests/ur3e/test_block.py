@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import mmap
 import os
 import subprocess
 import sys
@@ -30,9 +31,15 @@ signed = st.integers(-(2**31), 2**31 - 1)
 long = st.integers(0, 2**53)
 
 
+def own_memory() -> mmap.mmap:
+    descriptor, memory = shared_memory()
+    os.close(descriptor)
+    return memory
+
+
 @given(st.builds(Order, small, small, small, numbers, six, six))
 def test_orders_arrive_as_they_were_sent(order: Order) -> None:
-    _, memory = shared_memory()
+    memory = own_memory()
     orders = Orders(memory)
     assert orders.read() is None
     orders.write(order)
@@ -43,12 +50,12 @@ def test_orders_arrive_as_they_were_sent(order: Order) -> None:
 
 @given(
     st.builds(
-        Measured, numbers, numbers, numbers, numbers, six, six, six, signed, signed, small, small, numbers,
+        Measured, numbers, numbers, numbers, numbers, six, six, six, signed, signed, small, signed, numbers,
         small, small, small, long, long, long, long, numbers,
     )
 )  # fmt: skip
 def test_measurements_arrive_as_they_were_sent(measured: Measured) -> None:
-    _, memory = shared_memory()
+    memory = own_memory()
     Measurements(memory).write(measured)
     assert Measurements(memory).read() == measured
 
@@ -69,7 +76,7 @@ def test_both_blocks_share_the_memory_without_touching_each_other() -> None:
 @given(st.integers(0, Block.size(ORDER) - 1), st.integers(1, 255))
 def test_a_torn_slot_is_never_read(at: int, flip: int) -> None:
     """Whatever byte is wrong, the reader gets one of the two whole values or the other slot's."""
-    _, memory = shared_memory()
+    memory = own_memory()
     orders = Orders(memory)
     first, second = Order(arm=1, q=(1.0,) * 6), Order(arm=2, q=(2.0,) * 6)
     orders.write(first)
@@ -80,6 +87,7 @@ def test_a_torn_slot_is_never_read(at: int, flip: int) -> None:
 
 def test_a_reader_beside_a_hasty_writer_sees_whole_values_only() -> None:
     descriptor, memory = shared_memory()
+    orders = Orders(memory)
     code = (
         "import sys, mmap; from hil.ur3e.block import *; m = attach(int(sys.argv[1])); o = Orders(m)\n"
         "for k in range(10**9): o.write(Order(k % 2**32, 0, 0, float(k), (float(k),) * 6, (float(-k),) * 6))"
@@ -88,7 +96,7 @@ def test_a_reader_beside_a_hasty_writer_sees_whole_values_only() -> None:
     try:
         seen, last, end, patience = 0, 0, math.inf, perf_s() + 20.0
         while perf_s() < min(end, patience):
-            found = Orders(memory).read()
+            found = orders.read()
             if found is None:
                 continue
             if not seen:

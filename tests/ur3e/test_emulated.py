@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -335,13 +334,13 @@ def test_a_killed_node_leaves_the_arm_at_rest_and_no_program(other_arm: ArmProce
     config = patient(own_port())
     process = _node_process(config, pictures)
     try:
-        moving = _drive(config)
-        assert moving
+        _drive(config)
+        driver = Path("/proc") / str(_driver_of(process.pid)) / "cmdline"
         process.send_signal(signal.SIGKILL)
         process.wait()
         until(lambda: np.abs(arm.press("state")["qd"]).max() < 1e-3, 3.0)
         until(lambda: arm.press("state")["runtime"] == 1, 5.0)
-        until(lambda: not _drivers(process.pid), 5.0)
+        until(lambda: not driver.exists() or not driver.read_bytes(), 10.0)
     finally:
         process.kill()
         process.wait()
@@ -352,7 +351,7 @@ def test_a_frozen_node_is_noticed_by_the_driver(other_arm: ArmProcess, pictures:
     config = patient(own_port())
     process = _node_process(config, pictures)
     try:
-        assert _drive(config)
+        _drive(config)
         process.send_signal(signal.SIGSTOP)
         until(lambda: np.abs(arm.press("state")["qd"]).max() < 1e-3, 3.0)
         at = arm.press("state")["q"]
@@ -382,8 +381,8 @@ def _node_process(config: CellConfig, pictures: str) -> subprocess.Popen[str]:
     return process
 
 
-def _drive(config: CellConfig) -> bool:
-    """Start a motion through the wire; True when the arm moves."""
+def _drive(config: CellConfig) -> None:
+    """Start a motion through the wire and wait until the arm moves."""
     session = Session.connect(config)
     joints = session.latest(session.keys.joint_states, T.JointState)
     joints.wait(5.0)
@@ -399,22 +398,22 @@ def _drive(config: CellConfig) -> bool:
     trajectory = T.Trajectory(1, "sup", 0.0, WallClock().now() + 5.0, order.times, order.q, order.qd)
     assert session.call(session.keys.trajectory, trajectory, T.Reply).accepted
     until(lambda: (s := joints.peek()) is not None and np.abs(s.qd).max() > 0.05, 5.0)
-    threading.Timer(8.0, lambda: (heart.close(), session.close())).start()
-    return True
+    end = threading.Timer(8.0, lambda: (heart.close(), session.close()))
+    end.daemon = True
+    end.start()
 
 
-def _drivers(node: int) -> list[int]:
-    """Driver processes whose node is gone or this one."""
-    out = []
+def _driver_of(node: int) -> int:
+    """Process id of a node's arm driver."""
     for entry in Path("/proc").iterdir():
         try:
             command = (entry / "cmdline").read_bytes()
-            stat = (entry / "stat").read_text().rpartition(")")[2].split()
-        except OSError:
+            parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
+        except (OSError, ValueError):
             continue
-        if b"hil.ur3e.driver_process" in command and int(stat[1]) in (1, node, os.getpid()):
-            out.append(int(entry.name))
-    return out
+        if b"hil.ur3e.driver_process" in command and parent == node:
+            return int(entry.name)
+    raise AssertionError(f"node {node} has no driver")
 
 
 def test_a_controller_that_is_not_ready_is_one_line(other_arm: ArmProcess, pictures: str) -> None:
