@@ -6,12 +6,15 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 from hil.emulator.emulator import Emulator
 from hil.emulator.models import UR3E
 from hil.emulator.mover import Mover
 from hil.emulator.programs import recognise
 from tests.emulator.ideal import QUICK, IdealPlant
+
+_UNLOCKED_SOON = replace(QUICK, unlock=0.5)
 
 
 @contextmanager
@@ -31,7 +34,7 @@ def served(address: str) -> Iterator[subprocess.Popen[str]]:
 def main() -> None:
     plant, mover = IdealPlant(), Mover(UR3E)
     emulator = Emulator(
-        sys.argv[1], UR3E, plant, mover=mover, recognise=recognise, durations=QUICK, power_up=True
+        sys.argv[1], UR3E, plant, mover=mover, recognise=recognise, durations=_UNLOCKED_SOON, power_up=True
     )
     emulator.start()
     print("ready", flush=True)
