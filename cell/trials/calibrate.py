@@ -121,7 +121,12 @@ def task(measured: Measured, durations: Path) -> Preset:
 
 
 def calibrate(
-    results: Results, out: Path, seed: int, iterations: int | None, say: Callable[[str], None]
+    results: Results,
+    out: Path,
+    seed: int,
+    iterations: int | None,
+    say: Callable[[str], None],
+    episodes: int = 1000,
 ) -> Record:
     """The whole chain; writes into `out` and returns what `predictions.json` holds.
 
@@ -142,11 +147,11 @@ def calibrate(
     policies = {}
     for method in METHODS:
         say(f"training {method} on the measured task")
-        policies[method] = retrain(method, rules, seed, out / method, iterations)
+        policies[method] = retrain(method, rules, seed, out / method, iterations, episodes)
     found = {
         "overhead_s": round(measured.overhead, 3),
         "recovery_s": round(measured.recovery, 3),
-        "rows": predict(results, rules, measured.overhead),
+        "rows": predict(results, rules, measured.overhead, episodes),
         "policies": {method: str(path) for method, path in policies.items()},
     }
     (out / PREDICTIONS).write_text(json.dumps(found, indent=1) + "\n")

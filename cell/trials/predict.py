@@ -27,12 +27,12 @@ from cell.trials.contenders import Contender
 from cell.trials.tables import completed, rows
 from cell.wire.vocabulary import Action
 
-_EPISODES, _SEED = 1000, 4711
+_SEED = 4711
 _LONGEST, _EVENTS = 3600.0, 10_000
 _STARTS = (Action.DETECT, Action.DETECT_PICK)
 
 
-def predict(results: Results, rules: Preset, overhead: float) -> list[Record]:
+def predict(results: Results, rules: Preset, overhead: float, episodes: int = 1000) -> list[Record]:
     """A row per policy of the campaign: measured and predicted mean sort time [s], and the error's share."""
     table, out = rows(results), []
     for contender in results.settings.contenders:
@@ -40,7 +40,7 @@ def predict(results: Results, rules: Preset, overhead: float) -> list[Record]:
         beliefs = _bank(rules, contender.belief)
         if not mine or beliefs is None:
             continue
-        times, by_human = sort_times(rules, contender, beliefs, results.settings.onions)
+        times, by_human = sort_times(rules, contender, beliefs, results.settings.onions, episodes)
         measured = float(np.mean([r["sort_time_s"] for r in mine]))
         predicted = float(times.mean()) + overhead
         out.append(
@@ -58,7 +58,7 @@ def predict(results: Results, rules: Preset, overhead: float) -> list[Record]:
 
 
 def sort_times(
-    rules: Preset, contender: Contender, beliefs: BeliefBank, onions: int, episodes: int = _EPISODES
+    rules: Preset, contender: Contender, beliefs: BeliefBank, onions: int, episodes: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Sort times (E,) [s] without overhead, and onions by the person (E,), beside the expert person."""
     rules = replace(rules, seconds=_LONGEST, horizon=_EVENTS, start="fixed")
