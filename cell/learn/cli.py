@@ -123,7 +123,9 @@ def evaluate(
 
 
 def report(
-    what: Annotated[str, typer.Argument(help="table1, fig4, theorem1, recovery, prices or robustness.")],
+    what: Annotated[
+        str, typer.Argument(help="table1, fig4, theorem1, recovery, transfer, prices or robustness.")
+    ],
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Write here; a PNG of the same name goes beside it.")
     ] = None,

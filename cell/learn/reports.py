@@ -10,15 +10,16 @@ from cell.learn.belief.bank import BeliefBank
 from cell.learn.demonstrations import LABELS
 from cell.learn.domain.presets import Preset
 from cell.learn.job import Job, Tick
-from cell.learn.studies import MISSED, fig4, prices, recovery, robustness, theorem1
+from cell.learn.studies import MISSED, fig4, prices, recovery, robustness, theorem1, transfer
 from cell.learn.table1 import LEARNERS, table1
-from cell.learn.yardsticks import RECOVERIES, Row
+from cell.learn.yardsticks import DEMONSTRATED, RECOVERIES, UNSEEN, Row
 
 REPORTS: dict[str, Callable[[Preset, BeliefBank, Job, Tick], list[Row]]] = {
     "table1": table1,
     "fig4": fig4,
     "theorem1": theorem1,
     "recovery": recovery,
+    "transfer": transfer,
     "prices": prices,
     "robustness": robustness,
 }
@@ -31,6 +32,7 @@ def steps(what: str, presets: tuple[tuple[str, int], ...], job: Job) -> int:
         "fig4": len(LABELS),
         "theorem1": 2 * job.seeds,
         "recovery": 3,
+        "transfer": 2 * len(DEMONSTRATED) + len(UNSEEN) + 1,
         "prices": len(RECOVERIES),
         "robustness": len(MISSED),
     }
@@ -66,6 +68,9 @@ def draw(what: str, rows: list[Row], path: Path) -> None:
         plots.lines(
             path, gains, "recovery time [steps]", "TB-DecAIRL's reward less Dec-AIRL's", rows[0]["preset"]
         )
+    elif what == "transfer":
+        points = [(float(r["recovery"]), r["ratio_to_dp"]) for r in rows]
+        plots.lines(path, {"one reward": points}, "recovery time [steps]", "reward / exact optimum", title)
     elif what == "robustness":
         over: dict[str, list[tuple[float, float]]] = {}
         for r in last:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.errors import ConfigError
 from cell.learn import runs, theory
 from cell.learn.belief import store
 from cell.learn.belief.auc import auc, beliefs, roc
@@ -22,7 +23,7 @@ from cell.learn.domain.vector import make
 from cell.learn.job import Job, Tick
 from cell.learn.metrics import Statistic, statistic, summary
 from cell.learn.table1 import learned
-from cell.learn.yardsticks import RECOVERIES, TEST_SEED, Row, dp_row, row_of, transfer_rows
+from cell.learn.yardsticks import RECOVERIES, TEST_SEED, Row, dp_row, pooled_rows, row_of, transfer_rows
 
 MISSED = (0.0, 0.1, 0.2, 0.3, 0.4)
 """Shares of thumbs that the camera takes for No-op."""
@@ -149,6 +150,19 @@ def _hidden_beliefs(rules: Preset, episodes: int) -> list[Row]:
             )
             rows.append(row)
     return rows
+
+
+def transfer(rules: Preset, _: BeliefBank, job: Job, tick: Tick) -> list[Row]:
+    """Reward transfer from demonstrations at several recovery times.
+
+    Raises:
+        ConfigError: a preset without an exact optimum, or whose robot has nothing to choose.
+    """
+    if not solvable(rules) or rules.published:
+        raise ConfigError(
+            f"report transfer is for one robot that chooses its mode, in steps; not {rules.name}"
+        )
+    return pooled_rows(rules, job.settings, job.episodes, tick)
 
 
 def prices(rules: Preset, bank: BeliefBank, job: Job, tick: Tick) -> list[Row]:

@@ -9,16 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.learn import runs
+from cell.learn.belief.bank import BeliefBank
 from cell.learn.belief.bank import bank as bank_of
 from cell.learn.belief.tracker import last_gesture
 from cell.learn.demonstrations import expert, play
+from cell.learn.discriminator import Reward
 from cell.learn.domain.exact import BestResponse, QmdpRobot, SemiMarkovFilter
 from cell.learn.domain.presets import Preset
+from cell.learn.job import Tick
 from cell.learn.metrics import Statistic, statistic, summary
 from cell.learn.optimise import learned_reward, optimised
 from cell.learn.rollout import greedy
 from cell.learn.settings import Settings
-from cell.learn.transfer import best_response, refine
+from cell.learn.transfer import PooledAirl, Task, best_response, refine
 
 Row = dict[str, Any]
 KEYS = ("onions", "reward_truth", "reward_priced", "reward_shaped", "priced_steps")
@@ -26,6 +29,8 @@ TEST_SEED = 4321
 """Of all evaluation episodes in the tables: every method meets the same people and onions."""
 RECOVERIES = (5, 10, 20, 30, 40)
 """Recovery times that the reports show [steps]."""
+DEMONSTRATED, UNSEEN = (5, 20, 40), (3, 7, 10, 30, 50)
+"""Recovery times of the reward learnt from several: inside and outside of what was demonstrated."""
 
 
 def row_of(
@@ -84,7 +89,7 @@ def transfer_rows(rules: Preset, settings: Settings, episodes: int) -> list[Row]
     "imitated": from the hand-coded expert with beliefs by what was announced.
     "best response": from robots optimised for the true reward, under the exact filter of the hidden type.
     """
-    times, rows = (5, 10, 20, 30, 40), []
+    times, rows = RECOVERIES, list[Row]()
     filters = {
         t: bank_of(rules.agents, [SemiMarkovFilter(replace(rules, recovery=t), "hidden")]) for t in times
     }
@@ -99,13 +104,53 @@ def transfer_rows(rules: Preset, settings: Settings, episodes: int) -> list[Row]
         run = runs.start("tb-decairl", at, home, demos, settings)
         runs.train(run)
         for time in times:
-            there = replace(rules, recovery=time)
-            afresh = settings.change(seed=settings.seed + 1, entropy=0.02, iterations=40)
-            ppo = optimised(there, banks[time], learned_reward(run.discriminator.f), afresh)
-            result = runs.evaluate(there, banks[time], ppo.actors, "greedy", episodes, TEST_SEED)
-            reference = summary(play(there, told[time], expert(there), episodes, TEST_SEED))
             base: Row = {"preset": rules.name, "trained_at": at.recovery, "recovery": time}
-            row = row_of(base, f"reward, {name}", "greedy", 1, [result], reference["reward_priced"]["mean"])
-            row["ratio_to_dp"] = result["reward_priced"]["mean"] / BestResponse(there).value
-            rows.append(row)
+            there = replace(rules, recovery=time)
+            rows.append(
+                base | _afresh(there, banks[time], run.discriminator.f, f"reward, {name}", settings, episodes)
+            )
     return rows
+
+
+def pooled_rows(rules: Preset, settings: Settings, episodes: int, tick: Tick) -> list[Row]:
+    """One reward from demonstrations at several recovery times, frozen, and optimised afresh at others.
+
+    The demonstrators are robots optimised for the true reward at each of `DEMONSTRATED`.
+    """
+    times = sorted((*DEMONSTRATED, *UNSEEN))
+    filters = {
+        t: bank_of(rules.agents, [SemiMarkovFilter(replace(rules, recovery=t), "hidden")]) for t in times
+    }
+    tasks: list[Task] = []
+    for time in DEMONSTRATED:
+        at = replace(rules, recovery=time)
+        robot = best_response(at, filters[time], refine(seed=settings.seed))
+        shown = play(at, filters[time], greedy(robot.actors), 200, 77)
+        tasks.append(Task(at, filters[time], shown.transitions()))
+        tick(f"demonstrations at {time}")
+    run = PooledAirl(tasks, settings)
+    for _ in run.iterate():
+        pass
+    tick("one reward for all")
+    rows: list[Row] = []
+    for time in times:
+        there = replace(rules, recovery=time)
+        base: Row = {"preset": rules.name, "trained_at": list(DEMONSTRATED), "recovery": time}
+        base["demonstrated"] = time in DEMONSTRATED
+        row = _afresh(there, filters[time], run.discriminator.f, "reward, several times", settings, episodes)
+        rows.append(base | row)
+        tick(f"recovery {time}: {row['ratio_to_dp']:.3f} of the optimum")
+    return rows
+
+
+def _afresh(
+    there: Preset, beliefs: BeliefBank, reward: Reward, name: str, settings: Settings, episodes: int
+) -> Row:
+    """What new networks reach at a recovery time on a frozen reward, against the expert and the optimum."""
+    hyper = settings.change(seed=settings.seed + 1, entropy=0.02, iterations=40)
+    ppo = optimised(there, beliefs, learned_reward(reward), hyper)
+    result = runs.evaluate(there, beliefs, ppo.actors, "greedy", episodes, TEST_SEED)
+    told = bank_of(there.agents, [last_gesture()])
+    reference = summary(play(there, told, expert(there), episodes, TEST_SEED))["reward_priced"]["mean"]
+    row = row_of({}, name, "greedy", 1, [result], reference)
+    return row | {"ratio_to_dp": result["reward_priced"]["mean"] / BestResponse(there).value}
