@@ -85,7 +85,10 @@ class Score:
             "over_permitted": figures["over_permitted_ticks"],
             "entries": metrics.entries(log, self.config),
             "signs": figures["signs"],
-            "idle": {"robot": figures["fluency"]["robot_idle"], "person": figures["fluency"]["human_idle"]},
+            "idle": {
+                "robot": figures["fluency"]["robot_idle"],
+                "person": float((log["human"] == Action.NO_OP).mean()),
+            },
         }
 
     def _ended(self, log: Log) -> Array:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cell.frames import Array
-from cell.trials.log import Log
+from cell.trials.log import Log, segments
 from cell.wire.vocabulary import Action, RobotType
 
 SORTING = (Action.DETECT, Action.DETECT_PICK, Action.PICK, Action.INSPECT, Action.PLACE_ON_CONVEYOR,
@@ -36,12 +36,6 @@ def durations(log: Log) -> dict[str, Any]:
     if log.with_person:
         out |= {"human": _human(log), "rests": _rests(log)}
     return out
-
-
-def segments(values: Array) -> list[tuple[int, int, int]]:
-    """(value, first, end) of each run of equal values (N,); `end` is one past the last."""
-    starts = np.flatnonzero(np.diff(values, prepend=np.nan))
-    return [(int(values[a]), int(a), int(b)) for a, b in zip(starts, [*starts[1:], len(values)], strict=True)]
 
 
 def _robot(log: Log) -> dict[str, dict[str, list[float]]]:

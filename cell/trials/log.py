@@ -69,6 +69,12 @@ def read_log(path: Path) -> Log:
     return Log(columns, shown)
 
 
+def segments(values: Array) -> list[tuple[int, int, int]]:
+    """(value, first, end) of each run of equal values (N,); `end` is one past the last."""
+    starts = np.flatnonzero(np.diff(values, prepend=np.nan))
+    return [(int(values[a]), int(a), int(b)) for a, b in zip(starts, [*starts[1:], len(values)], strict=True)]
+
+
 class Logger:
     """Collects one round; `tick` after every supervisor tick, `truth` whenever it is known."""
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cell.config import CellConfig
 from cell.decision.ssm import allowed_speed
 from cell.frames import Array
-from cell.trials.log import SIGNS, Log
+from cell.trials.log import SIGNS, Log, segments
 from cell.wire.vocabulary import Action, Mode
 
 BRAKING = 0.6
@@ -57,6 +57,16 @@ def fluency(robot: Mask, human: Mask, t: Array) -> Figures:
         "concurrent": _share(robot & human),
         "functional_delay_share": round(delay / total, 6),
     }
+
+
+def at_work(log: Log) -> Mask:
+    """When the person does something: not in No-op, and not looking out for work that does not come."""
+    out: Mask = log["human"] != Action.NO_OP
+    runs = segments(log["human"])
+    for (action, a, b), following in zip(runs, [*runs[1:], (-1, 0, 0)], strict=True):
+        if action == Action.DETECT and following[0] != Action.PICK:
+            out[a:b] = False
+    return out
 
 
 def over(log: Log, cap: Array) -> int:
@@ -145,6 +155,7 @@ def breakdown(log: Log, config: CellConfig) -> Figures:
         "rests": rests,
         "fatigued_s": seconds(tired),
         "fatigued_per_rest_s": round(seconds(tired) / rests, 3) if rests else None,
+        "waiting_s": seconds((human == Action.DETECT) & ~at_work(log)),
         "away_s": seconds(away),
         "showing_s": seconds(showing),
         "away_not_industrial_s": seconds(away & ~industrial),
@@ -185,7 +196,7 @@ def figures(log: Log, config: CellConfig) -> Figures:
         **out,
         "over_permitted_ticks": over(log, permitted_speed(log, config)),
         "true_min_separation_m": round(float(log["true_separation"].min()), 4),
-        "fluency": fluency(log["robot_moving"] > 0.5, log["human"] != Action.NO_OP, log["t"]),
+        "fluency": fluency(log["robot_moving"] > 0.5, at_work(log), log["t"]),
         "signs": shown,
         "sign_seen_s": round(float(np.mean(shown["delay_s"])), 4) if shown["delay_s"] else None,
         "delays": delays(log),

@@ -10,7 +10,7 @@ import numpy as np
 
 from cell.errors import ConfigError
 from cell.trials.campaign import Record, Results
-from cell.trials.log import SIGNS, Log
+from cell.trials.log import SIGNS, Log, segments
 from cell.trials.tables import completed
 from cell.wire.vocabulary import Action, Mode
 
@@ -44,7 +44,7 @@ def _figure(width: float, height: float, rows: int = 1, columns: int = 1, **more
 def sort_times(path: Path, table: Sequence[Record], names: Sequence[str]) -> None:
     """Fig. 7: sort time per person and policy; bars are means, dots are rounds."""
     people = sorted({(r["person"], r["persona"]) for r in table})
-    figure, axes = _figure(max(6.0, 1.3 * len(people) + 3.5), 4.2, 1, 2, width_ratios=[len(people) + 1, 1.6])
+    figure, axes = _figure(max(6.5, 1.3 * len(people) + 3.5), 4.2, 1, 2, width_ratios=[len(people) + 1, 1.6])
     left, right = axes[0]
     width = 0.8 / len(names)
     for k, name in enumerate(names):
@@ -62,7 +62,7 @@ def sort_times(path: Path, table: Sequence[Record], names: Sequence[str]) -> Non
         axis.set_ylim(0, top)
         axis.grid(axis="y", alpha=0.3)
     left.set_ylabel("sort time of a round [s]")
-    left.set_title("Sort time per person and policy (bar: mean; line: 1 sd; dots: rounds)", fontsize=10)
+    figure.suptitle("Sort time per person and policy (bar: mean; line: 1 sd; dots: rounds)", fontsize=10)
     left.legend(fontsize=9, ncols=min(3, len(names)), loc="upper left")
     figure.savefig(path, dpi=120)
 
@@ -97,6 +97,7 @@ def fluency(path: Path, table: Sequence[Record], names: Sequence[str]) -> None:
                 _bar(axis, i + offset, known, width, k, name if i == 0 else None)
         words = [c.removesuffix("_s").removesuffix("_share").replace("_", "\n") for c in columns]
         axis.set_xticks(range(len(columns)), words, fontsize=8)
+        axis.set_xlim(-0.5, len(columns) - 0.5)
         axis.set_title(title, fontsize=10)
         axis.grid(axis="y", alpha=0.3)
     axes[0][0].legend(fontsize=8)
@@ -154,8 +155,6 @@ def timeline(path: Path, log: Log, title: str) -> None:
 
 def _lanes(axis: Any, log: Log) -> None:
     """Gantt-like bars of both agents' actions."""
-    from cell.trials.durations import segments
-
     t = log["t"]
     names = [a.name.lower().replace("_", " ") for a in _ROBOT]
     shades = ("0.88", "#56B4E9", "#0072B2", "#009E73", "#F0E442", "#E69F00", "#D55E00", "#CC79A7", "#882255")

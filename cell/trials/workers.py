@@ -117,19 +117,19 @@ class Cluster:
     """Workers of a Dask scheduler; a lost worker's round is run by another.
 
     Args:
-        address: of the scheduler, as tcp://host:8786.
+        address: of the scheduler, as tcp://host:8786. patience: how long it may take to answer [s].
 
     Raises:
         ConfigError: Dask is not installed, or nobody answers there.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, patience: float = 10.0) -> None:
         try:
             distributed: Any = import_module("distributed")
         except ImportError:
             raise ConfigError("--scheduler needs Dask: pip install 'sorting-cell[dask]'") from None
         try:
-            self._client = distributed.Client(address, timeout=10, set_as_default=False)
+            self._client = distributed.Client(address, timeout=patience, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             raise ConfigError(f"--scheduler {address}: {error or 'nobody answers'}") from None
         self._as_completed = distributed.as_completed

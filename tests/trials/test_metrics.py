@@ -10,8 +10,8 @@ import pytest
 
 from cell.config import load
 from cell.trials import metrics
-from cell.trials.durations import durations, segments
-from cell.trials.log import SIGNS, Log, read_log
+from cell.trials.durations import durations
+from cell.trials.log import SIGNS, Log, read_log, segments
 from cell.wire.types import ShownGesture
 from cell.wire.vocabulary import Action, Mode
 
@@ -133,6 +133,14 @@ def test_a_rest_is_measured_from_tired_to_rested_and_its_signs_beside() -> None:
     ]
     assert found["human"]["detect"] == pytest.approx([1.0, 1.0], abs=0.05)  # the last was only looking out
     assert found["human"]["inspect"] == pytest.approx([2.0, 1.0], abs=0.05)
+
+
+def test_a_person_who_looks_out_for_work_that_does_not_come_is_idle() -> None:
+    human = [(Action.DETECT, 1.0, 3.0), (Action.PICK, 3.0, 5.0), (Action.DETECT, 5.0, 11.0)]
+    made = log(10.0, human=human, robot_moving=[(1, 0, 99)])
+    found = metrics.figures(made, load())
+    assert found["fluency"]["human_idle"] == pytest.approx(0.6, abs=0.01)
+    assert found["breakdown"]["waiting_s"] == pytest.approx(6.0, abs=0.1)
 
 
 def test_segments_are_whole_and_in_order() -> None:
