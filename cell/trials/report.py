@@ -28,7 +28,8 @@ dl{display:grid;grid-template-columns:max-content auto;gap:.1rem 1rem}dd{margin:
 _SHOWN = (
     ("sort_time_s", "sort time [s]"), ("by_robot", "onions by robot"), ("by_human", "by person"),
     ("misplaced", "misplaced"), ("industrial_s", "industrial mode [s]"), ("mode_switches", "mode switches"),
-    ("rests", "rests"), ("waiting_s", "person without work [s]"), ("fatigued_per_rest_s", "a rest [s]"), ("gesture_delay_s", "sign to answer [s]"),
+    ("waiting_s", "person without work [s]"), ("rests", "rests"),
+    ("fatigued_per_rest_s", "a rest [s]"), ("gesture_delay_s", "sign to answer [s]"),
     ("down_to_industrial_s", "sign to industrial [s]"), ("human_idle", "person idle"),
     ("robot_idle", "robot idle"), ("concurrent", "both active"),
     ("functional_delay_share", "functional delay"),

@@ -57,8 +57,9 @@ COLUMNS: dict[str, Callable[[Record], Any]] = {
     **{k: _at("figures", "delays", k) for k in (
         "down_to_request_s", "down_to_industrial_s", "down_to_answer_s", "up_to_answer_s", "up_to_slow_s")},
     **{k: _at("figures", "breakdown", k) for k in (
-        "rests", "fatigued_s", "fatigued_per_rest_s", "waiting_s", "away_s", "showing_s", "away_not_industrial_s",
-        "industrial_share_of_away", "cap_industrial_m_s", "cap_permitted_away_m_s", "speed_industrial_m_s",
+        "rests", "fatigued_s", "fatigued_per_rest_s", "waiting_s", "away_s", "showing_s",
+        "away_not_industrial_s", "industrial_share_of_away", "cap_industrial_m_s",
+        "cap_permitted_away_m_s", "speed_industrial_m_s",
         "speed_collaborative_m_s")},
     "failure": _at("result", "failure"),
 }  # fmt: skip
