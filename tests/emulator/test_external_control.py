@@ -241,6 +241,11 @@ def test_a_trajectory_of_moves() -> None:
         c.send(Mode.FORWARD, raw=(1, 1))
         c.point(6, pose, second=HOME.tolist(), third=[1, 1, 1, 0, 0, 0], time=0.8)
         assert c.result() == SUCCESS
+        c.send(Mode.FORWARD, raw=(1, 2))
+        c.point(4, q1.tolist(), third=[0.5, 0.5, 0, 0, 0, 0], last=0.01)
+        c.point(12, pose, second=HOME.tolist(), third=[0.5, 0.5, 1, 0, 0, 0])
+        assert c.result() == SUCCESS
+        assert np.abs(c.robot.mover.q - HOME).max() < 1e-5
 
 
 @pytest.mark.parametrize("kind", [1, 2])
@@ -258,6 +263,25 @@ def test_a_trajectory_of_splines_passes_its_points(kind: int) -> None:
         moving = [i for i, qd in enumerate(c.robot.qd) if qd.any()]
         assert len(moving) * PERIOD == pytest.approx(1.0, abs=0.01)
         assert c.robot.acceleration() < 6.0 and c.robot.slip() < 1e-5
+
+
+@pytest.mark.parametrize(("kind", "via_pose", "pose"), [(3, 1, 1), (9, 0, 0), (10, 1, 0), (11, 0, 1)])
+def test_arcs_take_joints_and_poses(kind: int, via_pose: int, pose: int) -> None:
+    with client() as c:
+        k, start = c.robot.mover.kinematics, np.array(c.robot.mover.pose())
+        poses = [(start + np.array(d)).tolist() for d in ([0.03, 0, 0.03, 0, 0, 0], [0.06, 0, 0, 0, 0, 0])]
+        joints = [k.ik(p, [0.0] * 6, HOME) for p in poses]
+        via, end = (
+            p if as_pose else q for p, q, as_pose in zip(poses, joints, (via_pose, pose), strict=True)
+        )
+        assert via is not None and end is not None
+        c.send(Mode.FORWARD, raw=(1, 1))
+        c.point(kind, end, via, [0.2, 1.0, 0, 0, 0, 0])
+        assert c.result() == SUCCESS
+        p = np.array([k.pose(q.tolist(), [0.0] * 6)[:3] for q in c.robot.q])
+        away = np.linalg.norm(p - (start[:3] + np.array([0.03, 0, 0])), axis=1)
+        assert np.abs(away - 0.03).max() < 1e-5
+        assert np.abs(p[-1] - poses[1][:3]).max() < 1e-5
 
 
 def test_a_streamed_trajectory_ends_by_announcement() -> None:
@@ -285,8 +309,8 @@ def test_cancelling_missing_points_and_what_cannot_be() -> None:
         c.point(0, (c.robot.mover.q + 0.1).tolist(), third=[1, 5, 0, 0, 0, 0])
         assert c.result() == FAILURE
         c.send(Mode.FORWARD, raw=(1, 1))
-        c.point(4, far, third=[1, 1, 0, 0, 0, 0])
-        assert c.result() == FAILURE and any("type 4" in line for line in c.robot.said)
+        c.point(20, far, third=[1, 1, 0, 0, 0, 0])
+        assert c.result() == FAILURE and any("type 20" in line for line in c.robot.said)
         c.send(Mode.FORWARD, raw=(1, 1))
         c.point(51, far, None, None, 0.001, 1)
         assert c.result() == CANCELED

@@ -22,6 +22,8 @@ from hil.emulator.urscript.robot import Wait, retreat, stop
 
 _INTEGERS = 8
 _ATTEMPTS, _PAUSE = 5, 0.2
+_OPENING = 0.02
+"""Time that opening a socket takes [s]."""
 _RECEIVE, _CANCEL, _STREAM_START, _STREAM_END = 1, -1, 2, 3
 _FREEDRIVE_START, _FREEDRIVE_STOP = 1, -1
 _SIZES = {
@@ -181,12 +183,12 @@ def _connect(s: Session) -> Generator[None, None, bool]:
     for link in (s.trajectory, s.command, s.reverse):
         for attempt in range(_ATTEMPTS):
             if attempt:
-                for _ in range(round(_PAUSE / PERIOD)):
-                    yield
+                yield from _wait(_PAUSE)
             while (outcome := link.connect()) is None:
                 yield
             if outcome:
                 s.robot.message(f"Successfully connected to {link.name}")
+                yield from _wait(_OPENING)  # clients count on the order in which they are connected to
                 break
         if not link.connected:
             s.robot.message(
@@ -196,6 +198,11 @@ def _connect(s: Session) -> Generator[None, None, bool]:
             )
             return False
     return True
+
+
+def _wait(t: float) -> Wait:
+    for _ in range(round(t / PERIOD)):
+        yield
 
 
 def read(name: str, text: str) -> ExternalControl:

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from hil.emulator.interfaces import PERIOD
 from hil.emulator.motion.path import Leg
 from hil.emulator.urscript.external_state import MULTIPLIER, STOP, Result, Session, scaled
-from hil.emulator.urscript.moves import Targets
+from hil.emulator.urscript.moves import Targets, optimovej, optimovel
 from hil.emulator.urscript.robot import Wait, settle, stop
+from hil.emulator.urscript.values import Pose, Value
 
 STREAMED = 2**31 - 1
 """Points left while nobody has said yet how many there are."""
@@ -70,19 +71,33 @@ def _circle(p: Point, to: Targets, via_pose: bool, pose: bool) -> Leg:
     return Leg(to.pose((p.first, pose)), True, *p.speeds, via=via)
 
 
+def _swift(p: Point, to: Targets, blend: float, pose: bool, linear: bool) -> Leg:
+    v, a = p.speeds
+    target: Value = Pose(p.first) if pose else list(p.first)
+    if linear:
+        return optimovel(to, target, a, v, blend)
+    if pose and p.third[2]:
+        target = list(to.joints((p.first, True), p.second))
+    return optimovej(to, target, a, v, blend)
+
+
 _MOVES: dict[int, Callable[[Point, Targets, float], Leg]] = {
     0: lambda p, to, r: _joints(p, to, r, False),
     1: lambda p, to, r: _line(p, to, r, True),
     2: lambda p, to, r: _process(p, to, r, True),
     3: lambda p, to, r: _circle(p, to, True, True),
+    4: lambda p, to, r: _swift(p, to, r, pose=False, linear=False),
+    5: lambda p, to, r: _swift(p, to, r, pose=True, linear=True),
     6: lambda p, to, r: _joints(p, to, r, True),
     7: lambda p, to, r: _line(p, to, r, False),
     8: lambda p, to, r: _process(p, to, r, False),
     9: lambda p, to, r: _circle(p, to, False, False),
-    10: lambda p, to, r: _circle(p, to, False, True),
-    11: lambda p, to, r: _circle(p, to, True, False),
+    10: lambda p, to, r: _circle(p, to, True, False),
+    11: lambda p, to, r: _circle(p, to, False, True),
+    12: lambda p, to, r: _swift(p, to, r, pose=True, linear=False),
+    13: lambda p, to, r: _swift(p, to, r, pose=False, linear=True),
 }
-"""By motion type. For arcs, 10 is "joints, then pose" by name, and has the via point in joints."""
+"""By motion type. Names of arcs say the target first: 10, joints and pose, has its via point as a pose."""
 
 
 def run(s: Session) -> Wait:

@@ -11,6 +11,10 @@ from hil.emulator.urscript.values import Pose, Value, number, sixfold
 
 Target = tuple[list[float], bool]
 """Six numbers, and whether they are a pose."""
+_SWIFT = (3.14, 15.0)
+"""What optimovej takes as all that the arm can do [rad/s], [rad/s^2]."""
+_SWIFT_TOOL = (0.5, 2.5)
+"""What optimovel takes as that [m/s], [m/s^2]."""
 
 
 class Targets:
@@ -65,7 +69,21 @@ def movec(
     return Leg(to.pose(_target(pose_to)), True, number(v), number(a), via=via)
 
 
-MOVES: Mapping[str, Callable[..., Leg]] = {f.__name__: f for f in (movej, movel, movep, movec)}
+def optimovej(to: Targets, q: Value, a: Value = 0.3, v: Value = 0.3, r: Value = 0.0) -> Leg:
+    """v, a are shares of what the arm can do; the real controller reckons that from its torques."""
+    v, a = number(v) * _SWIFT[0], number(a) * _SWIFT[1]
+    return Leg(to.joints(_target(q)), False, v, a, blend=number(r))
+
+
+def optimovel(to: Targets, pose: Value, a: Value = 0.3, v: Value = 0.3, r: Value = 0.0) -> Leg:
+    """See `optimovej`."""
+    v, a = number(v) * _SWIFT_TOOL[0], number(a) * _SWIFT_TOOL[1]
+    return Leg(to.pose(_target(pose)), True, v, a, blend=number(r))
+
+
+MOVES: Mapping[str, Callable[..., Leg]] = {
+    f.__name__: f for f in (movej, movel, movep, movec, optimovej, optimovel)
+}
 
 
 def _target(value: Value) -> Target:
