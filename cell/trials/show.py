@@ -66,7 +66,7 @@ def show(console: Console, summary: dict[str, Any], folder: Path) -> None:
     for c in summary["comparisons"]:
         if "note" in c:
             continue
-        low, high = (100 * v if v is not None else float("nan") for v in c["share_ci"])
+        low, high = (100 * v for v in c["share_ci"])
         console.print(
             f"{c['first']} against {c['second']}: {100 * c['share']:+.1f} % ({low:+.1f} to {high:+.1f} %), "
             f"p = {c['p_permutation']:.3g}, {c['pairs']} pairs",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Callable
 from itertools import combinations
 from typing import Any
@@ -21,6 +22,8 @@ from cell.trials.statistics import detectable, paired, pairs_for, power
 from cell.version import commit
 
 TABLE, SUMMARY = "rounds.csv", "summary.json"
+_FEWEST = 3
+"""With fewer pairs an interval says nothing."""
 _GOAL = (0.2, 0.01)
 """Difference of the sort time, as a share, and alpha, for which the power is said, too."""
 
@@ -109,8 +112,8 @@ def compare(table: list[Record], first: str, second: str, value: str = "sort_tim
     ]
     both = sorted(set(sides[0]) & set(sides[1]))
     out: Record = {"first": first, "second": second, "value": value, "pairs": len(both)}
-    if len(both) < 2:
-        return {**out, "note": "too few pairs"}
+    if len(both) < _FEWEST:
+        return {**out, "note": f"too few pairs, {_FEWEST} are the fewest"}
     a, b = (np.array([side[k][value] for k in both], float) for side in sides)
     found = paired(a, b, np.array([k[0] for k in both]))
     goal = _GOAL[0] * found.second_mean / found.sd if found.sd > 0.0 else float("inf")
@@ -205,7 +208,7 @@ def _machine(results: Results) -> Record:
     }
 
 
-def spread(values: list[Any]) -> dict[str, float]:
+def spread(values: list[Any]) -> dict[str, float | None]:
     """Mean, standard deviation, least and greatest of the values that are known."""
     known: Array = np.array([v for v in values if v is not None], float)
     if not len(known):
@@ -215,8 +218,9 @@ def spread(values: list[Any]) -> dict[str, float]:
     return {k: _round(v) for k, v in named.items()}
 
 
-def _round(value: float) -> float:
-    return round(float(value), 4)
+def _round(value: float | None) -> float | None:
+    """To four places; None for what is not known or not a number."""
+    return round(float(value), 4) if value is not None and math.isfinite(value) else None
 
 
 def _text(value: Any) -> str:

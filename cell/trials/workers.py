@@ -22,6 +22,8 @@ from cell.trials.one_round import EVENTS, RESULT, TICKS, Job
 
 TRIES = 3
 """So often a round is started that ends without a result."""
+_PASSING = ("in use", "did not start within")
+"""What a round says that another try may not: a port was taken, the machine was too busy."""
 _END_TIME = 10.0
 Done = tuple[Job, "dict[str, bytes] | str"]
 """A job with its files by ending, or the line that says why there are none."""
@@ -54,7 +56,7 @@ class Running:
                 folder = Path(name)
                 if code == 0:
                     return {e: (folder / f"round.{e}").read_bytes() for e in (EVENTS, TICKS, RESULT)}
-                if code > 0 and "in use" not in words:  # it said what is wrong: trying again will not help
+                if code > 0 and not any(hint in words for hint in _PASSING):
                     return words
         return words
 

@@ -168,7 +168,9 @@ def test_the_summary_finds_the_difference_that_was_put_in(tmp_path: Path) -> Non
 
 def test_rounds_that_failed_are_counted_but_not_compared(tmp_path: Path) -> None:
     summary = tables.write(read(finished(tmp_path, Made(failure="the arm was stopped"), who="2", rounds=2)))
-    assert summary["totals"]["completed"] == 0 and summary["comparisons"][0]["note"] == "too few pairs"
+    assert summary["totals"]["completed"] == 0 and summary["comparisons"][0]["note"].startswith(
+        "too few pairs"
+    )
 
 
 def test_the_report_is_one_file_with_pictures_and_limits(tmp_path: Path) -> None:

@@ -81,6 +81,7 @@ def test_power_agrees_with_published_tables() -> None:
     assert s.power(0.0, 15) == pytest.approx(0.05, abs=1e-6)
     assert s.pairs_for(0.5) == 34 and s.pairs_for(0.2) == 199
     assert s.detectable(15) == pytest.approx(0.778, abs=0.003)
+    assert s.power(1e6, 2) > 0.9 and s.power(1e6, 15) == pytest.approx(1.0)
     assert s.pairs_for(0.0) is None and s.pairs_for(float("nan")) is None
 
 

@@ -97,7 +97,7 @@ def children(pid: int) -> list[int]:
 def until(found: Callable[[], list[int]], least: int) -> list[int]:
     """Wait until there are so many; a loaded machine may take long."""
     clock = WallClock()
-    end = clock.now() + 200.0
+    end = clock.now() + 500.0
     while len(out := found()) < least:
         assert clock.now() < end
         clock.sleep_until(clock.now() + 0.05)
