@@ -53,7 +53,10 @@ def run(
     seed: Annotated[int, typer.Option(help="Seed of the batch.")] = 0,
     headless: Annotated[bool, typer.Option("--headless", help="Lock-step, as fast as possible.")] = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the result here.")] = None,
-    record: Annotated[Path | None, typer.Option(help="Record the wire to this MCAP file.")] = None,
+    record: Annotated[Path | None, typer.Option(help="Record everything to this MCAP file.")] = None,
+    record_lossless: Annotated[
+        bool, typer.Option("--record-lossless", help="With every pixel of the person camera (large).")
+    ] = False,
     config: Annotated[Path | None, typer.Option(help="Cell description laid over the shipped one.")] = None,
 ) -> None:
     """Sort one batch of onions.
@@ -79,6 +82,8 @@ def run(
         from cell.record.mcap_writer import check_target
 
         check_target(record)
+    elif record_lossless:
+        raise ConfigError("--record-lossless says how --record FILE records; give that too")
     cell_config = load(config)
     table = load_policy(policy)
     if backend == "ur3e":
@@ -96,6 +101,7 @@ def run(
         seed=seed,
         onions=onions,
         record=record,
+        record_lossless=record_lossless,
         person={"sim": persona, "real": REAL_PERSON, "none": ""}[person],
         robot_ip=robot_ip,
         cameras=cameras,
@@ -156,6 +162,19 @@ def _surroundings(backend: str, robot_ip: str, cameras: str, person: str, headle
             f"--person {person} does not go with --cameras {cameras}: they are sim or real together"
         )
     return cameras, person
+
+
+@app.command()
+def replay(
+    file: Annotated[Path, typer.Argument(help="Recording of a round (.mcap).")],
+) -> None:
+    """Put a recording's inputs through today's supervisor and compare what it decides (docs/recordings.md).
+
+    Exit code 0: identical, byte for byte; 1: it differs, and where first; 2: the file cannot be replayed.
+    """
+    from cell.replay.show import show
+
+    raise typer.Exit(0 if show(file) else FAILED)
 
 
 app.add_typer(trying.trials, name="trials")

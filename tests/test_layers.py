@@ -23,9 +23,10 @@ ABOVE = {
     # package: what of the project it may import besides itself and the base
     "cell.perception": set(),
     "cell.motion": set(),
-    "cell.record": set(),
+    "cell.record": {"cell.decision.io", "cell.perception", "urdf"},
     "cell.decision": {"cell.perception", "cell.motion"},
     "cell.run": {"cell.decision", "cell.perception", "cell.motion", "cell.record"},
+    "cell.replay": {"cell.decision", "cell.perception", "cell.motion", "cell.record"},
     "cell.doctor": {"cell.perception", "cell.motion"},
     "cell.learn": {"cell.decision.policy"},
     "cell.trials": {"cell.run", "cell.decision", "cell.perception", "cell.motion", "cell.record", "cell.learn"},

@@ -97,15 +97,20 @@ def make_belief(name: str) -> Belief:
     Raises:
         ConfigError: no such belief, or unusable weights.
     """
-    if name == "gru":
-        return Gru(Path(str(files("cell") / "learn" / "belief" / "weights" / "cell-announced.safetensors")))
-    if name.endswith(".safetensors"):
-        return Gru(Path(name))
+    if (path := weights_of(name)) is not None:
+        return Gru(path)
     if name == "last-gesture":
         return LastGesture()
     if name == "none":
         return NoBelief()
     raise ConfigError(f"belief: {one_of(name, [*NAMES, 'FILE.safetensors'])}")
+
+
+def weights_of(name: str) -> Path | None:
+    """The file that the belief called `name` is read from; None if it needs none."""
+    if name == "gru":
+        return Path(str(files("cell") / "learn" / "belief" / "weights" / "cell-announced.safetensors"))
+    return Path(name) if name.endswith(".safetensors") else None
 
 
 def _load(path: Path) -> dict[str, Array]:
@@ -137,4 +142,4 @@ def _sigmoid(x: Array) -> Array:
     return np.asarray(0.5 * (1.0 + np.tanh(0.5 * x)))
 
 
-__all__ = ["NAMES", "Belief", "Gru", "LastGesture", "NoBelief", "make_belief"]
+__all__ = ["NAMES", "Belief", "Gru", "LastGesture", "NoBelief", "make_belief", "weights_of"]

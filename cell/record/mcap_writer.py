@@ -5,6 +5,7 @@ Format: https://mcap.dev/spec. Foxglove, PlotJuggler, Rerun and `ros2 bag` read 
 
 from __future__ import annotations
 
+import os
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,15 @@ from cell.wire import typestore
 
 _MAGIC = b"\x89MCAP0\r\n"
 _CHUNK = 4 * 1024 * 1024
+_RESERVE = 16 * 1024 * 1024
+"""A disk with less space than this counts as full: what waits and the index must still fit [bytes]."""
+_LATCHED = (
+    "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n"
+    "  deadline: {sec: 9223372036, nsec: 854775807}\n  lifespan: {sec: 9223372036, nsec: 854775807}\n"
+    "  liveliness: 1\n  liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}\n"
+    "  avoid_ros_namespace_conventions: false"
+)
+"""QoS with which `ros2 bag play` offers a topic to late comers: keep last, reliable, transient local."""
 
 
 def check_target(path: Path) -> None:
@@ -67,7 +77,16 @@ class McapFile:
         self._safe = 0
         self.flush()
 
-    def add(self, topic: str, ros_type: str, t: float, seq: int, payload: bytes) -> None:
+    def describe(self, name: str, facts: dict[str, str], files: dict[str, bytes]) -> None:
+        """Write what the recording is of, before any message: one metadata record, and attached files."""
+        self._writer.add_metadata(name, facts)
+        for file, data in files.items():
+            self._writer.add_attachment(0, 0, file, "application/octet-stream", data)
+        self.flush()
+
+    def add(
+        self, topic: str, ros_type: str, t: float, seq: int, payload: bytes, latched: bool = False
+    ) -> None:
         """Append one message.
 
         Args:
@@ -75,6 +94,7 @@ class McapFile:
             ros_type: e.g. "sensor_msgs/msg/JointState"; raises KeyError for one that the
                 type store does not know.
             t: source time [s], the log time of the message. seq: its sequence number.
+            latched: of the topic's first message: players offer the last one to those who come late.
         """
         channel = self._channels.get((topic, ros_type))
         if channel is None:
@@ -83,7 +103,8 @@ class McapFile:
                 typestore.make(ros_type)  # KeyError before anything is written
                 text = typestore.schema(ros_type).encode()
                 schema = self._schemas[ros_type] = self._writer.register_schema(ros_type, "ros2msg", text)
-            channel = self._writer.register_channel(topic, "cdr", schema)
+            qos = {"offered_qos_profiles": _LATCHED} if latched else {}
+            channel = self._writer.register_channel(topic, "cdr", schema, qos)
             self._channels[topic, ros_type] = channel
         ns = max(0, round(t * 1e9))
         self._writer.add_message(channel, ns, payload, publish_time=ns, sequence=seq & 0xFFFFFFFF)
@@ -92,6 +113,14 @@ class McapFile:
         """Hand everything to the system: what is flushed survives the death of this process."""
         self._writer.flush()
         self._safe = self._file.tell()
+
+    def full(self) -> bool:
+        """Whether the disk has too little space left to go on and still finish the file."""
+        try:
+            space = os.fstatvfs(self._file.fileno())
+        except OSError:
+            return False
+        return space.f_bavail * space.f_frsize < _RESERVE
 
     def close(self) -> None:
         """Write index and summary and close."""

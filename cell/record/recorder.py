@@ -1,7 +1,8 @@
 """Records everything on the wire into one MCAP file, without ever slowing anybody down.
 
-A tap puts samples into a bounded queue; a thread compresses and writes them. When the
-disk cannot keep up, or fails, samples are dropped and counted, and one warning says so.
+A tap puts samples into a bounded queue, and so does the decision loop with what it decided; a thread
+compresses and writes them. When the disk cannot keep up, or fails, samples are dropped and counted,
+and one warning says so.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from typing import Self
 
 from cell.clock import WallClock
 from cell.config import CellConfig
+from cell.errors import CellError
+from cell.record.content import About, Content, Decision
 from cell.record.mcap_writer import McapFile
 from cell.wire.service import Tapped
 from cell.wire.session import Session
@@ -35,12 +38,15 @@ class Counts:
     Attributes:
         written: safely in the file. dropped: given up because the disk was too slow or failed.
         missed: lost on the wire before they arrived here. unknown: of a type that has no schema.
+        decisions: in the file. undecided: decisions that are not: a replay ends there.
     """
 
     written: int = 0
     dropped: int = 0
     missed: int = 0
     unknown: int = 0
+    decisions: int = 0
+    undecided: int = 0
 
 
 class Recorder:
@@ -52,25 +58,39 @@ class Recorder:
         config: the cell, whose node must be running.
         path: where to; see `cell.record.mcap_writer.check_target`.
         max_waiting: bound on what waits for the disk [bytes].
+        about: what is recorded; needed for a replay.
+        lossless: see `Content`.
+        patient: `decided` waits for the disk instead of dropping: for lock-step, where time can wait.
 
     Raises:
         ConfigError: the file cannot be written there.
         WireError: the node cannot be reached.
     """
 
-    def __init__(self, config: CellConfig, path: Path | str, max_waiting: int = MAX_WAITING) -> None:
+    def __init__(
+        self,
+        config: CellConfig,
+        path: Path | str,
+        max_waiting: int = MAX_WAITING,
+        about: About | None = None,
+        lossless: bool = False,
+        patient: bool = False,
+    ) -> None:
         self.path = Path(path)
-        self._max_waiting = max_waiting
+        self._max_waiting, self._patient = max_waiting, patient
         self._file = McapFile(self.path)
-        self._samples: deque[Tapped] = deque()
+        self._queue: deque[tuple[Tapped | Decision, int]] = deque()
         self._waiting = 0
         self._written = self._dropped = self._missed = self._unknown = 0
-        self._unflushed = 0
+        self._decisions = self._undecided = 0
+        self._unflushed = [0, 0]
+        """Samples and decisions since the last flush."""
         self._failed = self._closing = self._closed = self._warned_slow = False
         self._unknown_types: set[str] = set()
         self._wake = threading.Condition()
         self._clock = WallClock()
         try:
+            self._content = Content(config, self._file, about, lossless)
             self._session = Session.connect(config)
         except Exception:
             self._file.close()
@@ -82,12 +102,22 @@ class Recorder:
     @property
     def counts(self) -> Counts:
         """What has become of the samples so far."""
-        return Counts(self._written, self._dropped, self._missed, self._unknown)
+        return Counts(
+            self._written, self._dropped, self._missed, self._unknown, self._decisions, self._undecided
+        )
 
     @property
     def failed(self) -> bool:
         """The disk refused; nothing has been recorded since."""
         return self._failed
+
+    def decided(self, decision: Decision) -> None:
+        """Take in one tick of the supervisor; only the patient recorder ever waits here."""
+        with self._wake:
+            while self._patient and not self._failed and self._waiting > self._max_waiting:
+                self._wake.wait(1.0)
+            if not self._enqueue(decision, decision.size):
+                self._undecided += 1
 
     def close(self) -> Counts:
         """Take what is still under way (0.2 s), finish the file, and return the counts."""
@@ -97,7 +127,7 @@ class Recorder:
             self._session.close()
             with self._wake:
                 self._closing = True
-                self._wake.notify()
+                self._wake.notify_all()
             self._thread.join()
         return self.counts
 
@@ -112,66 +142,95 @@ class Recorder:
     def _store(self, sample: Tapped) -> None:
         with self._wake:
             self._missed += sample.missed
-            if self._failed or self._waiting + len(sample.payload) > self._max_waiting:
+            if not self._enqueue(sample, len(sample.payload)):
                 self._dropped += 1
-                if not self._failed and not self._warned_slow:
-                    self._warned_slow = True
-                    _log.warning("recording %s: the disk is too slow; samples are being dropped", self.path)
-                return
-            self._samples.append(sample)
-            self._waiting += len(sample.payload)
-            self._wake.notify()
 
-    def _next(self, timeout: float) -> Tapped | None:
-        """The next sample; None when there is none within `timeout` [s] or at the end."""
+    def _enqueue(self, item: Tapped | Decision, size: int) -> bool:
+        """Put something into the queue, if it fits; the lock must be held."""
+        if self._failed or (self._waiting + size > self._max_waiting and not self._patient):
+            if not self._failed and not self._warned_slow:
+                self._warned_slow = True
+                _log.warning("recording %s: the disk is too slow; samples are being dropped", self.path)
+            return False
+        self._queue.append((item, size))
+        self._waiting += size
+        self._wake.notify_all()
+        return True
+
+    def _next(self, timeout: float) -> Tapped | Decision | None:
+        """What comes next; None when there is nothing within `timeout` [s] or at the end."""
         with self._wake:
-            if not self._samples and not self._closing:
+            if not self._queue and not self._closing:
                 self._wake.wait(timeout)
-            if not self._samples:
+            if not self._queue:
                 return None
-            sample = self._samples.popleft()
-            self._waiting -= len(sample.payload)
-            return sample
+            item, size = self._queue.popleft()
+            self._waiting -= size
+            self._wake.notify_all()
+            return item
 
     def _run(self) -> None:
         try:
             self._record()
         except OSError as error:
-            self._failed = True
             self._file.abandon()
-            with self._wake:
-                self._dropped += len(self._samples) + self._unflushed
-                self._samples.clear()
-                self._waiting = 0
-            why = error.strerror or str(error)
-            _log.warning("recording %s ended: %s; it can be read up to there", self.path, why)
+            self._give_up(error.strerror or str(error), self._unflushed)
+
+    def _give_up(self, why: str, lost: list[int]) -> None:
+        """Record no more. lost: samples and decisions that were written but are not in the file."""
+        with self._wake:
+            self._failed = True
+            decisions = sum(isinstance(item, Decision) for item, _ in self._queue)
+            self._dropped += len(self._queue) - decisions + lost[0]
+            self._undecided += decisions + lost[1]
+            self._queue.clear()
+            self._waiting = 0
+            self._wake.notify_all()
+        _log.warning("recording %s ended: %s; it can be read up to there", self.path, why)
 
     def _record(self) -> None:
         flush_at = self._clock.now() + _FLUSH_S
         while True:
-            sample = self._next(timeout=_FLUSH_S)
-            if sample is not None:
-                self._write(sample)
+            item = self._next(timeout=_FLUSH_S)
+            if item is not None:
+                self._write(item)
             elif self._closing:
                 break
             if self._clock.now() >= flush_at:
                 self._file.flush()
                 self._flushed()
                 flush_at = self._clock.now() + _FLUSH_S
+                if self._file.full():
+                    self._file.close()
+                    self._give_up("the disk is full", [0, 0])
+                    return
         self._file.close()
         self._flushed()
 
     def _flushed(self) -> None:
-        self._written += self._unflushed
-        self._unflushed = 0
+        self._written += self._unflushed[0]
+        self._decisions += self._unflushed[1]
+        self._unflushed = [0, 0]
 
-    def _write(self, sample: Tapped) -> None:
-        self._unflushed += 1
+    def _write(self, item: Tapped | Decision) -> None:
+        if isinstance(item, Decision):
+            try:
+                self._content.decision(item)
+                self._unflushed[1] += 1
+            except CellError as error:
+                self._undecided += 1
+                _log.warning("recording %s: tick %d is left out: %s", self.path, item.number, error)
+            return
+        self._unflushed[0] += 1
         try:
-            self._file.add(f"/{sample.key}", sample.ros_type, sample.t, sample.seq, sample.payload)
+            self._content.sample(item)
         except KeyError:
-            self._unflushed -= 1
+            self._unflushed[0] -= 1
             self._unknown += 1
-            if sample.ros_type not in self._unknown_types:
-                self._unknown_types.add(sample.ros_type)
-                _log.warning("not recorded: %s has the unknown type %r", sample.key, sample.ros_type)
+            if item.ros_type not in self._unknown_types:
+                self._unknown_types.add(item.ros_type)
+                _log.warning("not recorded: %s has the unknown type %r", item.key, item.ros_type)
+        except CellError as error:
+            self._unflushed[0] -= 1
+            self._unknown += 1
+            _log.warning("not recorded: %s: %s", item.key, error)

@@ -26,10 +26,12 @@ from cell.motion.reach import check_reachable
 from cell.motion.views import InspectionViews
 from cell.perception.detector import Detector
 from cell.perception.person import PersonEye
+from cell.record.hand_tap import HandTap
 from cell.record.recorder import Recorder
 from cell.run.link import Link, LiveLink, StepLink
 from cell.run.measure import Meter
 from cell.run.node_process import NodeProcess
+from cell.run.recording import about, hand_tap, tapped
 from cell.run.result import RoundResult, gesture_delay, judge
 from cell.version import code_version, commit
 from cell.wire.session import Session
@@ -57,7 +59,7 @@ class RoundOptions:
         backend: name of the node's backend.
         lock_step: simulated time moves only with the supervisor, as fast as the machine can.
         seed, onions: the batch.
-        record: MCAP file to write, or None.
+        record: MCAP file to write, or None. record_lossless: with every pixel of the person camera.
         person: persona of the simulated person; "real" for a real one; empty for nobody.
         robot_ip, cameras: of the real arm; see `hil.backend.make_backend`.
     """
@@ -67,6 +69,7 @@ class RoundOptions:
     seed: int = 0
     onions: int = 15
     record: Path | None = None
+    record_lossless: bool = False
     person: str = ""
     robot_ip: str = ""
     cameras: str = ""
@@ -113,6 +116,8 @@ def run_round(
         # While the node builds its world, this process plans its inspection views.
         planner = Planner(config)
         views = InspectionViews(config)
+        taps = options.record is not None and options.person and make_companion is None
+        tap = hand_tap(config) if taps else None
         supervisor = Supervisor(
             config,
             policy,
@@ -120,15 +125,23 @@ def run_round(
             views,
             detector,
             HOLDER,
-            _companion(config, options, planner, make_companion),
+            _companion(config, options, planner, make_companion, tap),
         )
         _warm_up(planner, detector, config)
         node.wait_ready()
         session = stack.enter_context(Session.connect(config, patient=options.lock_step))
         meter = Meter(session, config)
         if options.record is not None:
-            recorder = Recorder(config, options.record)
+            other = "" if make_companion is None else make_companion.__name__
+            recorder = Recorder(
+                config,
+                options.record,
+                about=about(config, policy, options, HOLDER, other),
+                lossless=options.record_lossless,
+                patient=options.lock_step,
+            )
             stack.callback(recorder.close)
+            watch = tapped(recorder, tap, watch)
         link: Link = (StepLink if options.lock_step else LiveLink)(session, config, HOLDER)
         stack.callback(link.close)
         with _interruptible():
@@ -153,14 +166,18 @@ def _with_truth(session: Session, judge_tick: Judge, watch: Watcher | None, ever
 
 
 def _companion(
-    config: CellConfig, options: RoundOptions, planner: Planner, make: MakeCompanion | None
+    config: CellConfig,
+    options: RoundOptions,
+    planner: Planner,
+    make: MakeCompanion | None,
+    tap: HandTap | None,
 ) -> Companion | None:
     """What watches the person, if there is one."""
     if not options.person:
         return None
     if make is not None:
         return make(config, planner)
-    return Companion(config, PersonEye(config), make_belief(config.supervisor.belief), planner.collision)
+    return Companion(config, PersonEye(config, tap), make_belief(config.supervisor.belief), planner.collision)
 
 
 def _drive(

@@ -1,0 +1,1 @@
+"""Recorded decisions taken again: the same inputs through today's supervisor."""
