@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -18,7 +19,8 @@ rtde_control = pytest.importorskip("rtde_control", reason="ur-rtde is not instal
 rtde_receive = pytest.importorskip("rtde_receive")
 dashboard_client = pytest.importorskip("dashboard_client")
 
-HOST = "127.0.0.31"
+HOST = f"127.0.31.{1 + os.getpid() % 254}"
+"""Fixed ports need an address of their own, also beside another run of these tests."""
 PATIENCE = 15.0
 HOME = [-1.54, -1.83, -2.28, -0.59, 1.6, 0.023]
 ARM = Kinematics(UR3E)
