@@ -22,6 +22,7 @@ SMALL = tuned(iterations=2, envs=4, discriminator_steps=3, minibatch=200)
 
 
 def test_one_reward_explains_several_tasks_each_with_its_own_policies() -> None:
+    runs.single_thread()
     told = bank(PAPER.agents, [last_gesture()])
 
     def trained() -> PooledAirl:
