@@ -94,6 +94,7 @@ class Sampler:
     def __init__(self, config: CellConfig, tell: Callable[[Truth], None]) -> None:
         self._config, self._tell = config, tell
         self._over = threading.Event()
+        self._now = 0.0
         self._thread: threading.Thread | None = None
 
     def first(self, watch: Watcher) -> Watcher:
@@ -105,6 +106,7 @@ class Sampler:
                 self._thread.start()
             if outputs.done:
                 self._over.set()
+            self._now = inputs.t
             watch(inputs, outputs)
 
         return both
@@ -125,8 +127,21 @@ class Sampler:
             while not self._over.is_set():
                 due = clock.now() + _PERIOD
                 with contextlib.suppress(CellError):
-                    self._tell(session.call(session.keys.sim_truth, TruthRequest(HOLDER), Truth))
+                    truth = session.call(session.keys.sim_truth, TruthRequest(HOLDER), Truth)
+                    self._tell(_shifted(truth, self._now))
                 clock.sleep_until(due)
+
+
+def _shifted(truth: Truth, now: float) -> Truth:
+    """The truth on the supervisor's clock: the surroundings count from their own start."""
+    shift, person = now - truth.t, truth.person
+    if person is not None:
+        shown = tuple(
+            replace(g, shown=g.shown + shift, answered=g.answered + shift if g.answered >= 0.0 else -1.0)
+            for g in person.gestures
+        )
+        person = replace(person, gestures=shown)
+    return replace(truth, t=now, person=person)
 
 
 def _free_address() -> str:
