@@ -167,6 +167,9 @@ def _surroundings(backend: str, robot_ip: str, cameras: str, person: str, headle
 @app.command()
 def replay(
     file: Annotated[Path, typer.Argument(help="Recording of a round (.mcap).")],
+    within: Annotated[
+        float, typer.Option(help="Numbers this close count as equal (recordings of other machines).")
+    ] = 0.0,
 ) -> None:
     """Put a recording's inputs through today's supervisor and compare what it decides (docs/recordings.md).
 
@@ -174,7 +177,9 @@ def replay(
     """
     from cell.replay.show import show
 
-    raise typer.Exit(0 if show(file) else FAILED)
+    if not 0.0 <= within < 1.0:
+        raise ConfigError(f"--within must be from 0 to below 1, got {within}")
+    raise typer.Exit(0 if show(file, within) else FAILED)
 
 
 app.add_typer(trying.trials, name="trials")

@@ -118,4 +118,4 @@ class Content:
         except (CellError, KeyError):
             return topic, codec.ros_type(Image), payload
         suffix = pictures.COLOR_SUFFIX if image.pixels.ndim == 3 else pictures.DEPTH_SUFFIX
-        return topic + suffix, pictures.ROS_TYPE, small
+        return topic + suffix, pictures.COMPRESSED, small

@@ -28,7 +28,7 @@ _log = logging.getLogger("cell.record")
 #: Most that may wait for the disk [bytes]; about 60 VGA RGB-D frames.
 MAX_WAITING = 128 * 1024 * 1024
 _FLUSH_S = 0.5
-_SETTLE_S = 0.2
+_SETTLE_S, _SETTLES = 0.2, 3
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Recorder:
         self._queue: deque[tuple[Tapped | Decision, int]] = deque()
         self._waiting = 0
         self._written = self._dropped = self._missed = self._unknown = 0
-        self._decisions = self._undecided = 0
+        self._decisions = self._undecided = self._arrived = 0
         self._unflushed = [0, 0]
         """Samples and decisions since the last flush."""
         self._failed = self._closing = self._closed = self._warned_slow = False
@@ -120,10 +120,14 @@ class Recorder:
                 self._undecided += 1
 
     def close(self) -> Counts:
-        """Take what is still under way (0.2 s), finish the file, and return the counts."""
+        """Take what is still under way (0.2 to 0.6 s), finish the file, and return the counts."""
         if not self._closed:
             self._closed = True
-            self._clock.sleep_until(self._clock.now() + _SETTLE_S)
+            for _ in range(_SETTLES):
+                before = self._arrived
+                self._clock.sleep_until(self._clock.now() + _SETTLE_S)
+                if self._arrived == before:
+                    break
             self._session.close()
             with self._wake:
                 self._closing = True
@@ -141,6 +145,7 @@ class Recorder:
 
     def _store(self, sample: Tapped) -> None:
         with self._wake:
+            self._arrived += 1
             self._missed += sample.missed
             if not self._enqueue(sample, len(sample.payload)):
                 self._dropped += 1

@@ -7,7 +7,6 @@ geometry reads are enough: every third one, and those round the palms that were 
 
 from __future__ import annotations
 
-import struct
 from typing import Any
 
 import cv2
@@ -19,6 +18,7 @@ from cell.perception.hands.landmarks import Hand
 from cell.perception.separation import STRIDE
 from cell.wire import cdr
 from cell.wire.layouts import MAX_SIDE, check_size
+from cell.wire.pictures import png_size
 from cell.wire.types import Frame
 from cell.wire.typestore import make
 
@@ -31,7 +31,6 @@ _COLOR_HOW, _DEPTH_HOW = [*_HOW, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY], [*_HOW,
 _PALM = [0, 5, 9, 13, 17]
 """Landmarks whose hull holds every pixel at which a palm's depth is read."""
 _EDGE = 2
-_PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def store(frame: Frame, whole: bool, hands: tuple[Hand, ...] = ()) -> Any:
@@ -96,8 +95,7 @@ def png(pixels: NDArray[Any]) -> NDArray[np.uint8]:
 def unpng(data: NDArray[np.uint8], height: int, width: int, dtype: type[Any]) -> NDArray[Any]:
     """An image from PNG; raises DecodeError unless it is one of that size and type."""
     raw = bytes(data)
-    # The size stands at a fixed place: it is known before anything is unpacked.
-    if raw[:8] != _PNG or len(raw) < 33 or struct.unpack(">II", raw[16:24]) != (width, height):
+    if png_size(raw) != (width, height):
         raise DecodeError(f"not a PNG of {width} x {height} pixels")
     pixels = cv2.imdecode(np.frombuffer(raw, np.uint8), cv2.IMREAD_UNCHANGED)
     channels = 3 if dtype is np.uint8 else 1

@@ -34,31 +34,43 @@ class Difference:
         ]
 
 
-def first_difference(tick: int, t: float, then: Outputs, now: Outputs) -> Difference:
-    """The first field in which two different outputs differ; commands come before the state."""
-    for name, a, b in _walk("", then, now):
+def first_difference(
+    tick: int, t: float, then: Outputs, now: Outputs, within: float = 0.0
+) -> Difference | None:
+    """The first field in which outputs differ; commands come before the state.
+
+    Args:
+        within: numbers that differ by no more than this count as equal.
+
+    Returns:
+        None where nothing differs by more.
+    """
+    for name, a, b in _walk("", then, now, within):
         return Difference(tick, t, name, _text(a), _text(b))
-    return Difference(tick, t, "bytes", "outputs that read the same", "other bytes for them")
+    return None
 
 
-def _walk(name: str, a: Any, b: Any) -> Iterator[tuple[str, Any, Any]]:
+def _walk(name: str, a: Any, b: Any, within: float) -> Iterator[tuple[str, Any, Any]]:
     """(name, value, value) of every leaf that differs, in order."""
     if type(a) is not type(b):
         yield name, a, b
     elif is_dataclass(a):
         for field in fields(a):
             below = f"{name}.{field.name}" if name else field.name
-            yield from _walk(below, getattr(a, field.name), getattr(b, field.name))
+            yield from _walk(below, getattr(a, field.name), getattr(b, field.name), within)
     elif isinstance(a, tuple):
         for i, (x, y) in enumerate(zip_longest(a, b, fillvalue=_ABSENT)):
-            yield from _walk(f"{name}[{i}]", x, y)
+            yield from _walk(f"{name}[{i}]", x, y, within)
     elif isinstance(a, np.ndarray):
         if a.shape != b.shape:
             yield f"{name}.shape", a.shape, b.shape
-        elif a.tobytes() != b.tobytes():
-            at = tuple(int(i) for i in np.argwhere(~np.equal(a, b))[0]) if (a != b).any() else (0,) * a.ndim
-            yield f"{name}{list(at)}", a[at], b[at]
-    elif a != b and not (a != a and b != b):
+        else:
+            for at in map(tuple, np.argwhere(~np.isclose(a, b, rtol=0.0, atol=within))):
+                yield f"{name}{[int(i) for i in at]}", a[at], b[at]
+    elif isinstance(a, float):
+        if not (a == b or abs(a - b) <= within):
+            yield name, a, b
+    elif a != b:
         yield name, a, b
 
 

@@ -57,8 +57,8 @@ class Replay:
             config, then.policy, planner, InspectionViews(config), detector, holder, companion
         )
 
-    def take(self, recorded: Tick) -> Difference | None:
-        """Decide anew; the first difference from what was decided then."""
+    def take(self, recorded: Tick, within: float = 0.0) -> Difference | None:
+        """Decide anew; the first difference from what was decided then. within: see `replay`."""
         n, t = recorded.number, recorded.inputs.t
         self._hands.expect(recorded.searches)
         number, then = tick.decode_outputs(recorded.outputs)
@@ -69,7 +69,9 @@ class Replay:
         except CellError as error:
             return Difference(n, t, "the tick itself", "outputs", f"{type(error).__name__}: {error}")
         if tick.encode_outputs(n, now) != recorded.outputs:
-            return first_difference(n, t, then, now)
+            difference = first_difference(n, t, then, now, within)
+            if difference is not None or within == 0.0:
+                return difference or Difference(n, t, "the bytes", "read the same", "read the same")
         if not self._whole:
             if self._hands.strayed:
                 return Difference(n, t, "the hand networks", "what was asked then", self._hands.strayed)
@@ -78,10 +80,12 @@ class Replay:
         return None
 
 
-def replay(recorded: Recorded, progress: Callable[[int], None] | None = None) -> Verdict:
+def replay(recorded: Recorded, progress: Callable[[int], None] | None = None, within: float = 0.0) -> Verdict:
     """Replay a recording up to the first difference.
 
     Args:
+        within: numbers that differ by no more than this count as equal; 0 compares bytes. For recordings
+            of another type of machine, whose arithmetic may differ in last bits.
         progress: called after every tick with its number.
 
     Raises:
@@ -91,7 +95,7 @@ def replay(recorded: Recorded, progress: Callable[[int], None] | None = None) ->
     ticks, begin, end = 0, 0.0, 0.0
     for one in recorded.ticks():
         begin, end = one.inputs.t if ticks == 0 else begin, one.inputs.t
-        difference = again.take(one)
+        difference = again.take(one, within)
         ticks += 1
         if difference is not None:
             return Verdict(ticks, end - begin, difference, "")

@@ -16,7 +16,7 @@ from cell.perception.hands.tracker import HandTracker
 from cell.record.content import CONFIG_FILE, EYES, POLICY_FILE, About, Decision
 from cell.record.hand_tap import HandTap
 from cell.record.recorder import Recorder
-from cell.version import code_version, commit
+from cell.version import code_version, commit, machine
 
 if TYPE_CHECKING:
     from cell.run.round import RoundOptions, Watcher
@@ -45,6 +45,7 @@ def about(
         "detector_sha256": _digest(detector),
         "version": code_version(),
         "commit": commit(),
+        "machine": machine(),
     }
     table = write(policy.name, policy.actions, policy.bin_edges, f"commit={commit()}")
     files = {CONFIG_FILE: json.dumps(to_dict(config), indent=1).encode(), POLICY_FILE: table.encode()}

@@ -19,13 +19,15 @@ from cell.wire.layouts import MAX_SIDE, SMALL, camera_of, check_size, header, op
 from cell.wire.types import Image
 from cell.wire.typestore import make
 
-ROS_TYPE = "sensor_msgs/msg/CompressedImage"
+COMPRESSED = "sensor_msgs/msg/CompressedImage"
+"""ROS type of what `compress` gives."""
 COLOR_SUFFIX, DEPTH_SUFFIX = "/compressed", "/compressedDepth"
 """What ROS appends to the topic of the raw image."""
 _COLOR, _DEPTH = "rgb8; jpeg compressed bgr8", "32FC1; compressedDepth png"
 _QUALITY = 85
 _STEP = 1.5
 """Steps of inverse depth, as a share of the disparity's noise."""
+_PNG = b"\x89PNG\r\n\x1a\n"
 _HEADER = struct.Struct("<iff")
 _LIMIT = SMALL + MAX_SIDE * MAX_SIDE * 4
 
@@ -66,26 +68,48 @@ def expand(payload: bytes) -> Image:
     import cv2
 
     reader = cdr.Reader(payload, _LIMIT)
-    ros = reader.take(ROS_TYPE)
+    ros = reader.take(COMPRESSED)
     reader.finish()
     t, camera = cdr.seconds(ros.header.stamp, "stamp"), camera_of(ros.header.frame_id)
     raw = bytes(ros.data)
-    if ros.format.endswith(_DEPTH.partition("; ")[2]):
-        if len(raw) < _HEADER.size + 24:
+    if "compressedDepth" in ros.format:
+        if len(raw) < _HEADER.size:
             raise DecodeError("compressed depth is cut short")
         _, scale, offset = _HEADER.unpack_from(raw)
         raw = raw[_HEADER.size :]
-        check_size(*struct.unpack_from(">II", raw, 16))
+        check_size(*png_size(raw))
         counts = _decoded(cv2.imdecode(np.frombuffer(raw, np.uint8), cv2.IMREAD_UNCHANGED), np.uint16, 2)
         depth = np.zeros(counts.shape, np.float32)
         np.divide(np.float32(scale), counts - np.float32(offset), out=depth, where=counts > 0)
         if not (np.isfinite(depth).all() and (depth >= 0).all()):
             raise DecodeError("compressed depth gives NaN, infinity or negative values")
         return Image(t, camera, depth)
-    if "jpeg" not in ros.format and "png" not in ros.format:
-        raise DecodeError(f"compressed image of format {ros.format[:80]!r}; readable are jpeg and png")
+    check_size(*(png_size(raw) if raw.startswith(_PNG) else jpeg_size(raw)))
     bgr = _decoded(cv2.imdecode(np.frombuffer(raw, np.uint8), cv2.IMREAD_COLOR), np.uint8, 3)
     return Image(t, camera, np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8))
+
+
+# Sizes are read before anything is unpacked: a small file may claim to be an enormous picture.
+
+
+def png_size(raw: bytes) -> tuple[int, int]:
+    """(width, height) that a PNG claims. Raises DecodeError."""
+    if not raw.startswith(_PNG) or len(raw) < 33:
+        raise DecodeError("not a PNG")
+    width, height = struct.unpack_from(">II", raw, 16)
+    return width, height
+
+
+def jpeg_size(raw: bytes) -> tuple[int, int]:
+    """(width, height) that a JPEG claims. Raises DecodeError."""
+    at = 2
+    while raw.startswith(b"\xff\xd8") and at + 9 <= len(raw) and raw[at] == 0xFF:
+        marker, length = struct.unpack_from(">BH", raw, at + 1)
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            height, width = struct.unpack_from(">HH", raw, at + 5)
+            return width, height
+        at += 2 + length
+    raise DecodeError("neither PNG nor JPEG")
 
 
 def _message(image: Image, form: str, head: bytes, data: Any) -> bytes:
@@ -93,7 +117,7 @@ def _message(image: Image, form: str, head: bytes, data: Any) -> bytes:
         raise WireError(f"cannot compress an image {image.pixels.shape} {image.pixels.dtype}")
     body = np.frombuffer(head + data.tobytes(), np.uint8)
     writer = cdr.Writer()
-    writer.put(ROS_TYPE, make(ROS_TYPE)(header(image.t, optical_frame(image.camera)), form, body))
+    writer.put(COMPRESSED, make(COMPRESSED)(header(image.t, optical_frame(image.camera)), form, body))
     return writer.finish()
 
 

@@ -19,6 +19,7 @@ from cell.config import CellConfig
 from cell.errors import BackendError, ConfigError, DecodeError
 from cell.frames import Pinhole
 from cell.wire import codec
+from cell.wire.pictures import COLOR_SUFFIX, COMPRESSED, DEPTH_SUFFIX, expand
 from cell.wire.types import CameraInfo, Frame, Image
 from hil.ur3e.rectify import check_size
 from hil.ur3e.shutter import Grabber
@@ -137,9 +138,10 @@ def _from_mcap(path: Path, camera: str) -> Callable[[], Iterator[Picture]]:
             with path.open("rb") as file:
                 reader = make_reader(file)
                 topics = _topics(reader, camera)
-                for _, channel, message in reader.iter_messages(topics) if topics else []:
-                    image = codec.decode(Image, message.data)
-                    if channel.topic.endswith("/color"):
+                for schema, _, message in reader.iter_messages(topics) if topics else []:
+                    packed = schema is not None and schema.name == COMPRESSED
+                    image = expand(message.data) if packed else codec.decode(Image, message.data)
+                    if image.pixels.ndim == 3:
                         colour = image
                     elif colour is not None and abs(colour.t - image.t) < 1e-6:
                         rgb, depth = np.asarray(colour.pixels, np.uint8), image.pixels
@@ -152,7 +154,8 @@ def _from_mcap(path: Path, camera: str) -> Callable[[], Iterator[Picture]]:
 
 def _topics(reader: McapReader, camera: str) -> list[str]:
     summary = reader.get_summary()
-    ends = (f"/camera/{camera}/color", f"/camera/{camera}/depth")
+    color, depth = f"/camera/{camera}/color", f"/camera/{camera}/depth"
+    ends = (color, depth, color + COLOR_SUFFIX, depth + DEPTH_SUFFIX)
     return [c.topic for c in summary.channels.values() if c.topic.endswith(ends)] if summary else []
 
 
