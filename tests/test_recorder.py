@@ -48,7 +48,7 @@ def config() -> CellConfig:
 
 @pytest.fixture
 def node(config: CellConfig) -> Iterator[Session]:
-    with Session.listen(config) as session:
+    with Session.listen(config, patient=True) as session:  # a busy machine must not lose what tests send
         yield session
 
 

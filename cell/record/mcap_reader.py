@@ -104,7 +104,8 @@ class Recording:
 
     def _records(self, file: IO[bytes]) -> Iterator[Any]:
         """The file's records with chunks unpacked."""
-        for record in StreamReader(file, emit_chunks=True, record_size_limit=MAX_RECORD).records:
+        bounded: Any = _Bounded(file)
+        for record in StreamReader(bounded, emit_chunks=True, record_size_limit=MAX_RECORD).records:
             if not isinstance(record, Chunk):
                 yield record
                 continue
@@ -114,6 +115,16 @@ class Recording:
             if size > MAX_RECORD or record.compression not in ("zstd", ""):
                 raise ValueError(f"a chunk of {size} bytes with compression {record.compression[:20]!r}")
             yield from breakup_chunk(record, validate_crc=True)
+
+
+class _Bounded:
+    """A file of which no more than `MAX_RECORD` bytes are read at once, whatever a length field says."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+
+    def read(self, n: int) -> bytes:
+        return self._file.read(min(n, MAX_RECORD))
 
 
 def _line(error: BaseException) -> str:
