@@ -71,15 +71,21 @@ class Campaign:
         return [spec for spec in specs if not self._file(spec.id, RESULT).is_file()]
 
     def run(
-        self, specs: Sequence[RoundSpec], workers: Workers, record: bool, report: Callable[[Record], None]
+        self,
+        specs: Sequence[RoundSpec],
+        workers: Workers,
+        record: bool,
+        report: Callable[[Record], None],
+        complain: Callable[[str], None] = lambda line: None,
     ) -> Outcome:
-        """Run the rounds that are left; `report` is told of each one done."""
+        """Run the rounds that are left; `report` is told of each one done, `complain` of the others."""
         jobs = [self._job(spec, record) for spec in self.left(specs)]
         outcome, began = Outcome(), perf_s()
         try:
             for job, files in workers.run(jobs) if jobs else ():
                 if isinstance(files, str):
                     outcome.problems.append(f"{job.spec.id}: {files}")
+                    complain(outcome.problems[-1])
                     continue
                 for ending, content in sorted(files.items(), key=lambda item: item[0] == RESULT):
                     write_atomically(self._file(job.spec.id, ending), content)

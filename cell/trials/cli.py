@@ -74,14 +74,16 @@ def run(
     team: Workers = Cluster(scheduler) if scheduler else Local(workers)
     campaign = Campaign(out, chosen)
     console = Console(stderr=True)
+
+    def complain(line: str) -> None:
+        console.print(f"[red]not run: {line}[/red]", highlight=False)
+
     try:
         with watched(console, campaign, specs, workers) as tell:
-            outcome = campaign.run(specs, team, record, tell)
+            campaign.run(specs, team, record, tell, complain)
     except KeyboardInterrupt:
         print(f"cell: interrupted; the same command continues in {out}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
-    for problem in outcome.problems:
-        console.print(f"[red]not run: {problem}[/red]", highlight=False)
     summary = _write(out, report)
     show(console, summary, out)
     mine = {spec.id for spec in specs}

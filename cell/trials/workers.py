@@ -22,7 +22,7 @@ from cell.trials.one_round import EVENTS, RESULT, TICKS, Job
 
 TRIES = 3
 """So often a round is started that ends without a result."""
-_PASSING = ("in use", "did not start within")
+_PASSING = ("in use", "did not start within", "no answer to")
 """What a round says that another try may not: a port was taken, the machine was too busy."""
 _END_TIME = 10.0
 Done = tuple[Job, "dict[str, bytes] | str"]
