@@ -88,8 +88,9 @@ def test_a_campaign_killed_in_mid_round_leaves_nothing_behind_and_goes_on(tmp_pa
 
 def children(pid: int) -> list[int]:
     """Process ids of a process's children."""
-    try:
-        return [int(x) for x in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    try:  # of each thread, those that it started
+        files = list(Path(f"/proc/{pid}/task").glob("*/children"))
+        return [int(x) for file in files for x in file.read_text().split()]
     except OSError:
         return []
 
