@@ -15,19 +15,8 @@ from cell.clock import WallClock
 from cell.errors import ConfigError
 from cell.trials.workers import Cluster, Running
 
-TINY = [
-    "--people",
-    "chen",
-    "--rounds",
-    "2",
-    "--onions",
-    "1",
-    "--seed",
-    "3",
-    "--perception",
-    "truth",
-    "--no-report",
-]
+TINY = ["--people", "chen", "--rounds", "1", "--policies", "tb", "--onions", "1", "--seed", "3"]
+TINY += ["--perception", "truth", "--no-report"]
 
 
 def trials(*args: object) -> list[str]:
