@@ -69,8 +69,13 @@ def draw(what: str, rows: list[Row], path: Path) -> None:
             path, gains, "recovery time [steps]", "TB-DecAIRL's reward less Dec-AIRL's", rows[0]["preset"]
         )
     elif what == "transfer":
-        points = [(float(r["recovery"]), r["ratio_to_dp"]) for r in rows]
-        plots.lines(path, {"one reward": points}, "recovery time [steps]", "reward / exact optimum", title)
+        times = ", ".join(str(t) for t in rows[0]["trained_at"])
+        points = {
+            name: [(float(r["recovery"]), r["ratio_to_dp"]) for r in rows if r["demonstrated"] is shown]
+            for name, shown in (("never demonstrated", False), ("demonstrated", True))
+        }
+        told = f"{rows[0]['preset']}, one reward learnt at recovery {times}"
+        plots.lines(path, points, "recovery time [steps]", "reward / exact optimum", told)
     elif what == "robustness":
         over: dict[str, list[tuple[float, float]]] = {}
         for r in last:
