@@ -68,6 +68,7 @@ def test_a_changed_threshold_is_caught_where_it_first_matters(monkeypatch: pytes
     difference = replay(recorded, within=within(recorded)).difference
     assert difference is not None and difference.tick == INSPECTED
     assert difference.then != difference.now
+    assert "it said then:  inspect: done: blemish seen" in "\n".join(difference.lines())
 
 
 def test_a_changed_configuration_is_caught_too() -> None:

@@ -17,21 +17,30 @@ _ABSENT = "nothing"
 
 @dataclass(frozen=True)
 class Difference:
-    """The first difference. tick: counted from 0; t [s]; what: dotted name; then, now: both sides."""
+    """The first difference.
+
+    Attributes:
+        tick: counted from 0. t [s]. what: dotted name of the field. then, now: both sides of it.
+        said: what the supervisor said at that tick, then and now.
+    """
 
     tick: int
     t: float
     what: str
     then: str
     now: str
+    said: tuple[str, str] = ("", "")
 
     def lines(self) -> list[str]:
         """For people."""
-        return [
+        out = [
             f"first difference at tick {self.tick} (t = {self.t:.3f} s): {self.what}",
             f"  recorded: {self.then}",
             f"  today:    {self.now}",
         ]
+        if self.said[0] != self.said[1]:
+            out += [f"  it said then:  {self.said[0]}", f"  it says today: {self.said[1]}"]
+        return out
 
 
 def first_difference(
@@ -46,7 +55,8 @@ def first_difference(
         None where nothing differs by more.
     """
     for name, a, b in _walk("", then, now, within):
-        return Difference(tick, t, name, _text(a), _text(b))
+        said = [" / ".join(event.text for event in side.events) or _ABSENT for side in (then, now)]
+        return Difference(tick, t, name, _text(a), _text(b), (said[0], said[1]))
     return None
 
 
