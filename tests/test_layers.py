@@ -29,7 +29,14 @@ ABOVE = {
     "cell.replay": {"cell.decision", "cell.perception", "cell.motion", "cell.record"},
     "cell.doctor": {"cell.perception", "cell.motion"},
     "cell.learn": {"cell.decision.policy"},
-    "cell.trials": {"cell.run", "cell.decision", "cell.perception", "cell.motion", "cell.record", "cell.learn"},
+    "cell.trials": {
+        "cell.run",
+        "cell.decision",
+        "cell.perception",
+        "cell.motion",
+        "cell.record",
+        "cell.learn",
+    },
     "hil": {"urdf"},
     "urdf": set(),
 }
