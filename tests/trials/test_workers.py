@@ -62,10 +62,12 @@ def test_a_campaign_killed_in_mid_round_leaves_nothing_behind_and_goes_on(tmp_pa
     first = subprocess.Popen(
         trials(*TINY, "--out", tmp_path), stderr=subprocess.DEVNULL, start_new_session=True
     )
-    started = until(
-        lambda: [pid for child in children(first.pid) for pid in [child, *children(child)]], least=2
-    )
-    os.killpg(first.pid, signal.SIGKILL)
+    try:
+        started = until(
+            lambda: [pid for child in children(first.pid) for pid in [child, *children(child)]], least=2
+        )
+    finally:
+        os.killpg(first.pid, signal.SIGKILL)
     first.wait(10.0)
     until(lambda: [pid for pid in started if not Path(f"/proc/{pid}").exists()], least=len(started))
     assert not list((tmp_path / "rounds").glob("*.json"))
