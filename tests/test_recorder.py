@@ -27,6 +27,7 @@ from mcap.stream_reader import StreamReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
+from cell.clock import WallClock
 from cell.config import CellConfig
 from cell.errors import ConfigError, DecodeError, WireError
 from cell.frames import pose
@@ -343,6 +344,22 @@ def test_an_independent_reader_decodes_every_message(
     steps = cv2.imdecode(np.frombuffer(data[12:], np.uint8), -1)
     depth = a / (steps.astype(float) - b)
     assert steps.dtype == np.uint16 and np.abs(depth - 0.5).max() < 0.005
+
+
+def test_a_recording_can_stand_in_for_the_cameras(node: Session, config: CellConfig, tmp_path: Path) -> None:
+    from hil.ur3e.file_camera import file_cameras
+
+    path = tmp_path / "round.mcap"
+    with Recorder(config, path):
+        wait_for_recorder(node)
+        for camera in ("belt", "person"):
+            node.publish_frame(T.Frame(camera, 1, 1.0, RGB, DEPTH))
+    camera = file_cameras(path, config, WallClock())["person"]
+    camera.connect()
+    frames: list[T.Frame] = []
+    until(lambda: frames.extend(camera.take()) or frames, 20.0)
+    camera.close()
+    assert frames[0].rgb.shape == RGB.shape and np.abs(frames[0].depth - 0.5).max() < 0.005
 
 
 def test_transforms_put_the_tool_where_the_controller_does(config: CellConfig) -> None:

@@ -183,7 +183,7 @@ def example() -> tuple[Inputs, Outputs, tuple[Search, ...]]:
     outputs = Outputs(
         (Command(7, trajectory()), Command(8, T.Capture("a"), "belt")),
         by_type[T.SupervisorState],
-        (by_type[T.Detections],),
+        (T.Detections(1.0, "belt", (T.Box((10.0, 20.0, 50.0, 70.0), "blemished", 0.75),)),),
         (by_type[T.Event],),
         (by_type[T.Hands],),
         True,
@@ -218,7 +218,8 @@ def test_of_a_sparse_frame_what_geometry_reads_is_kept() -> None:
     from cell.frames import Pinhole
     from cell.perception.hands.depth import locate_palm
 
-    full, seen = frame("person"), hand()
+    seen, near = hand(), RNG.integers(600, 640, (121, 160)).astype(np.float32) * np.float32(0.001)
+    full = dataclasses.replace(frame("person"), depth=near)
     sparse = restore(store(full, whole=False, hands=(seen,)))
     assert np.array_equal(sparse.depth[::3, ::3], full.depth[::3, ::3]) and not sparse.rgb.any()
     assert (sparse.depth == 0).mean() > 0.5
