@@ -22,7 +22,7 @@ from cell.frames import Array
 from cell.wire.types import Frame
 from hil.backend import Backend, NeedsArming, make_backend
 from hil.executor import Executor
-from tests.emulated import emulated_backend, patient
+from tests.emulated import emulated_backend, end, patient
 from tests.fake_backend import FakeBackend
 from tests.test_limits import LIMITS, move
 
@@ -37,6 +37,12 @@ PERIOD = CONFIG.arm.control_period
 HOME = np.array(CONFIG.arm.home)
 CLEAR = move(HOME, HOME + np.array([0.5, -0.2, 0.2, 0.3, 0.3, 0.6]), 1.0)
 """A brisk motion that touches nothing in the reference cell."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def none_left() -> Iterator[None]:
+    yield
+    end()
 
 
 @pytest.fixture(scope="module", params=BACKENDS)
