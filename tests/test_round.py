@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import struct
 import subprocess
 import sys
 from functools import cache
@@ -12,6 +13,7 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
 
+import cv2
 import numpy as np
 
 from cell import __version__
@@ -128,6 +130,7 @@ def test_the_recording_opens_with_others_libraries_and_holds_the_round() -> None
     store = get_typestore(Stores.ROS2_JAZZY)  # standard messages as ROS 2 defines them
     folder, _ = two_rounds()
     data = result("first")
+    color_topic, depth_topic = "/cell/camera/belt/color/compressed", "/cell/camera/belt/depth/compressedDepth"
     times, q, images, topics = [], [], {}, set()
     with (folder / "first.mcap").open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages():
@@ -137,7 +140,7 @@ def test_the_recording_opens_with_others_libraries_and_holds_the_round() -> None
                 state = store.deserialize_cdr(message.data, schema.name)
                 times.append(message.log_time * 1e-9)
                 q.append(state.position)
-            elif channel.topic in ("/cell/camera/belt/color", "/cell/camera/belt/depth"):
+            elif channel.topic in (color_topic, depth_topic):
                 images[channel.topic] = store.deserialize_cdr(message.data, schema.name)
     assert topics >= {"/cell/arm/status", "/cell/gripper/state", "/cell/supervisor/state", "/cell/events"}
     assert topics >= {"/cell/perception/detections", "/cell/camera/belt/camera_info"}
@@ -147,12 +150,15 @@ def test_the_recording_opens_with_others_libraries_and_holds_the_round() -> None
     p_WT = tcp_positions(np.array(q), load().gripper.length)
     speed = np.linalg.norm(p_WT[2:] - p_WT[:-2], axis=1) / (2 * period)
     assert abs(speed.max() - data["max_tcp_speed_m_s"]["collaborative"]) < 1e-6
-    color, depth = images["/cell/camera/belt/color"], images["/cell/camera/belt/depth"]
-    assert (color.encoding, color.width, color.height) == ("rgb8", 640, 480)
-    assert (depth.encoding, depth.width, depth.height) == ("32FC1", 640, 480)
-    metres = np.frombuffer(bytes(depth.data), np.float32)
-    assert 0.5 < np.median(metres[metres > 0]) < 2.0
-    assert np.frombuffer(bytes(color.data), np.uint8).std() > 10
+    color, depth = images[color_topic], images[depth_topic]
+    assert color.format.startswith("rgb8; jpeg") and depth.format.startswith("32FC1; compressedDepth")
+    picture = cv2.imdecode(np.frombuffer(bytes(color.data), np.uint8), cv2.IMREAD_COLOR)
+    assert picture.shape == (480, 640, 3) and picture.std() > 10
+    # compressed_depth_image_transport: 12 bytes (format, a, b), then a PNG of a / metres + b
+    _, a, b = struct.unpack("<iff", bytes(depth.data[:12]))
+    counts = cv2.imdecode(np.frombuffer(bytes(depth.data[12:]), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert counts.shape == (480, 640) and counts.dtype == np.uint16
+    assert 0.5 < np.median(a / (counts[counts > 0] - b)) < 2.0
 
 
 def interrupted(folder: Path, number: int) -> tuple[int, list[str], int]:
