@@ -143,7 +143,7 @@ class Cluster:
             for job in jobs
         }
         try:
-            for future in self._as_completed(list(futures)):
+            for future in self._as_completed(list(futures), loop=self._client.loop):
                 error = future.exception()
                 yield (
                     futures[future],
