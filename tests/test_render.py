@@ -6,6 +6,7 @@ import hashlib
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,10 +74,10 @@ def add_textured(
     body = bullet.createMultiBody(
         0, -1, shape, X[:3, 3].tolist(), quaternion(X[:3, :3]).tolist(), physicsClientId=client
     )
-    file = f"/tmp/test_render_{os.getpid()}.png"
-    cv2.imwrite(file, np.ascontiguousarray(texture[:, :, 2::-1]))
-    loaded = bullet.loadTexture(file, physicsClientId=client)
-    os.unlink(file)
+    with tempfile.TemporaryDirectory() as folder:
+        file = str(Path(folder) / "skin.png")
+        cv2.imwrite(file, np.ascontiguousarray(texture[:, :, 2::-1]))
+        loaded = bullet.loadTexture(file, physicsClientId=client)
     bullet.changeVisualShape(body, -1, textureUniqueId=loaded, physicsClientId=client)
     return scene.add(Visual(body, -1, np.eye(4), mesh, (1.0, 1.0, 1.0, 1.0), texture, label))
 
@@ -94,11 +95,10 @@ def add_box(client: int, scene: Scene, size: tuple[float, ...], X: np.ndarray, l
 
 
 def load_urdf(client: int, text: str, **options: object) -> int:
-    file = Path(f"/tmp/test_render_{os.getpid()}.urdf")
-    file.write_text(text)
-    with quiet():
+    with tempfile.TemporaryDirectory() as folder, quiet():
+        file = Path(folder) / "body.urdf"
+        file.write_text(text)
         body: int = bullet.loadURDF(str(file), physicsClientId=client, **options)
-    file.unlink()
     return body
 
 

@@ -16,9 +16,9 @@ from cell.clock import WallClock
 from cell.errors import BackendError
 from cell.frames import Pinhole
 from cell.settings import CameraConfig
-from cell.wire.types import CameraInfo, Frame
+from cell.wire.types import Frame
 from hil.ur3e.rectify import Rectifier
-from hil.ur3e.shutter import Grabber, Shutter
+from hil.ur3e.streamed import StreamedCamera
 
 _SIZE, _STEREO, _RATE = (640, 480), (640, 400), 20
 """Colour and stereo images [px], and pictures per second."""
@@ -26,58 +26,33 @@ _WAIT = timedelta(milliseconds=500)
 _MILLIMETRE = 1e-3
 
 
-class OakD:
-    """See `hil.cameras.CameraSource`.
-
-    Args:
-        camera: the ideal camera that pictures are made to fit. serial: of the device; empty: the only one.
-        clock: of the node.
-    """
+class OakD(StreamedCamera):
+    """See `StreamedCamera`."""
 
     def __init__(self, name: str, camera: CameraConfig, serial: str, clock: WallClock) -> None:
-        self.name = name
-        self._camera, self._serial, self._clock = camera, serial, clock
+        super().__init__(name, camera, serial, clock)
         self._pipeline: Any = None
-        self._grabber: Grabber | None = None
-        self._shutter = Shutter(camera.rate)
-        self._seq = 0
 
-    def connect(self) -> None:
-        if self._pipeline is not None:
-            return
+    def _open(self) -> Rectifier:
         dai = library()
         device = open_device(dai, self._serial)
         try:
             matrix = device.readCalibration().getCameraIntrinsics(dai.CameraBoardSocket.CAM_A, *_SIZE)
-            self.fit(matrix)
+            rectifier = self.fit(matrix)
             self._pipeline, self._queue = build(dai, device)
             self._pipeline.start()
         except (BackendError, RuntimeError) as error:
             device.close()
             raise BackendError(f"camera {self.name}: {error}") from None
-        self._grabber = Grabber(self.name, self._grab, self._clock)
+        return rectifier
 
-    def fit(self, matrix: list[list[float]]) -> None:
+    def fit(self, matrix: list[list[float]]) -> Rectifier:
         """Take in the device's colour intrinsics, a 3 x 3 matrix for pictures of its size [px]."""
         (fx, _, cx), (_, fy, cy), _ = matrix
         self._rectifier = Rectifier(self.name, self._camera, Pinhole(*_SIZE, fx, fy, cx, cy))
+        return self._rectifier
 
-    def info(self) -> CameraInfo:
-        p = self._rectifier.pinhole
-        return CameraInfo(self._clock.now(), f"camera_{self.name}", p.width, p.height, p.fx, p.fy, p.cx, p.cy)
-
-    def request(self) -> None:
-        self._shutter.ask(self._clock.now())
-
-    def take(self) -> list[Frame]:
-        if self._grabber is None:
-            raise BackendError(f"camera {self.name} is not connected; call connect() first")
-        return self._grabber.take()
-
-    def close(self) -> None:
-        if self._grabber is not None:
-            self._grabber.close()
-            self._grabber = None
+    def _release(self) -> None:
         if self._pipeline is not None:
             self._pipeline.stop()
             self._pipeline = None
@@ -96,9 +71,7 @@ class OakD:
             return None
         rgb = cv2.cvtColor(colour.getCvFrame(), cv2.COLOR_BGR2RGB)
         metres = depth.getFrame().astype(np.float32) * np.float32(_MILLIMETRE)
-        picture, distance = self._rectifier.picture(np.asarray(rgb, np.uint8), metres)
-        self._seq += 1
-        return Frame(self.name, self._seq, exposed, picture, distance)
+        return self._frame(exposed, np.asarray(rgb, np.uint8), metres)
 
 
 def library() -> Any:

@@ -12,10 +12,10 @@ from cell.clock import WallClock
 from cell.errors import BackendError
 from cell.frames import Pinhole
 from cell.settings import CameraConfig
-from cell.wire.types import CameraInfo, Frame
+from cell.wire.types import Frame
 from hil.ur3e.clock_map import ClockMap
 from hil.ur3e.rectify import Rectifier
-from hil.ur3e.shutter import Grabber, Shutter
+from hil.ur3e.streamed import StreamedCamera
 
 _COLOUR, _DEPTH, _RATE = (640, 480), (848, 480), 30
 """Streams: size [px], and pictures per second."""
@@ -41,13 +41,8 @@ class Opened:
     close: Callable[[], None]
 
 
-class RealSense:
-    """See `hil.cameras.CameraSource`.
-
-    Args:
-        camera: the ideal camera that pictures are made to fit. serial: of the device; empty: the only one.
-        clock: of the node. opener: opens another device than a real one.
-    """
+class RealSense(StreamedCamera):
+    """See `StreamedCamera`; `opener` opens another device than a real one."""
 
     def __init__(
         self,
@@ -57,60 +52,30 @@ class RealSense:
         clock: WallClock,
         opener: Callable[[str], Opened] | None = None,
     ) -> None:
-        self.name = name
-        self._camera, self._serial, self._clock = camera, serial, clock
+        super().__init__(name, camera, serial, clock)
         self._opener = opener or open_device
         self._opened: Opened | None = None
-        self._grabber: Grabber | None = None
-        self._shutter = Shutter(camera.rate)
-        self._seq = 0
 
-    def connect(self) -> None:
-        if self._opened is not None:
-            return
+    def _open(self) -> Rectifier:
         rs = library()
         opened = self._opener(self._serial)
         try:
-            intrinsics = opened.colour.as_video_stream_profile().get_intrinsics()
-            self._rectifier = Rectifier(
+            i = opened.colour.as_video_stream_profile().get_intrinsics()
+            rectifier = Rectifier(
                 self.name,
                 self._camera,
-                Pinhole(
-                    intrinsics.width,
-                    intrinsics.height,
-                    intrinsics.fx,
-                    intrinsics.fy,
-                    intrinsics.ppx,
-                    intrinsics.ppy,
-                ),
-                _coefficients(rs, intrinsics),
-                inverse=intrinsics.model == rs.distortion.inverse_brown_conrady,
+                Pinhole(i.width, i.height, i.fx, i.fy, i.ppx, i.ppy),
+                _coefficients(rs, i),
+                inverse=i.model == rs.distortion.inverse_brown_conrady,
             )
         except BackendError:
             opened.close()
             raise
         self._opened, self._align, self._map = opened, rs.align(rs.stream.color), ClockMap(_LONGEST)
         self._host_time = (rs.timestamp_domain.global_time, rs.timestamp_domain.system_time)
-        self._grabber = Grabber(self.name, self._grab, self._clock)
+        return rectifier
 
-    def info(self) -> CameraInfo:
-        if self._opened is None:
-            raise BackendError(f"camera {self.name} is not connected; call connect() first")
-        p = self._rectifier.pinhole
-        return CameraInfo(self._clock.now(), f"camera_{self.name}", p.width, p.height, p.fx, p.fy, p.cx, p.cy)
-
-    def request(self) -> None:
-        self._shutter.ask(self._clock.now())
-
-    def take(self) -> list[Frame]:
-        if self._grabber is None:
-            raise BackendError(f"camera {self.name} is not connected; call connect() first")
-        return self._grabber.take()
-
-    def close(self) -> None:
-        if self._grabber is not None:
-            self._grabber.close()
-            self._grabber = None
+    def _release(self) -> None:
         if self._opened is not None:
             self._opened.close()
             self._opened = None
@@ -131,9 +96,7 @@ class RealSense:
         if not colour or not depth:
             return True, None
         metres = np.asarray(depth.get_data()).astype(np.float32) * np.float32(self._opened.depth_unit)
-        rgb, distance = self._rectifier.picture(np.asarray(colour.get_data(), np.uint8), metres)
-        self._seq += 1
-        return True, Frame(self.name, self._seq, exposed, rgb, distance)
+        return True, self._frame(exposed, np.asarray(colour.get_data(), np.uint8), metres)
 
     def _exposure(self, frame: Any) -> float:
         """When it was exposed [s], by the node's clock.

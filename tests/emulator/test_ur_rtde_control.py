@@ -13,7 +13,7 @@ from cell.clock import WallClock, perf_s
 from hil.emulator.kinematics import Kinematics, error
 from hil.emulator.models import UR3E
 from hil.emulator.poses import frame_of
-from tests.emulator.serve_ur import served
+from tests.emulator.serve import served
 
 rtde_control = pytest.importorskip("rtde_control", reason="ur-rtde is not installed")
 rtde_receive = pytest.importorskip("rtde_receive")
