@@ -41,6 +41,8 @@ _ANSWER_TIME = 2.0
 """Longest that a command may wait for its answer in real time [s]."""
 _PATIENCE = 10
 """Stale joint states are waited out for this many times their greatest age."""
+_LEASE = 3.0
+"""How long the node may take to hear the heart [s]."""
 _FIRST_DATA = 20.0
 """How long the first samples may take after connecting [s]."""
 
@@ -194,7 +196,24 @@ class LiveLink:
         for reader in (self._joints, self._arm, self._gripper, self._belt):
             if reader.peek() is None:
                 reader.wait(_FIRST_DATA)
+        self._wait_for_lease()
         self._next = self._clock.now()
+
+    def _wait_for_lease(self) -> None:
+        """Until the node has heard our heart: before, it would refuse the first commands."""
+        end = self._clock.now() + _LEASE
+        while (owner := self._owner()) != self._holder:
+            if self._clock.now() > end:
+                raise WireError(
+                    f"'{owner}' drives this cell; end it first"
+                    if owner
+                    else "the node does not hear heartbeats"
+                )
+            self._clock.sleep_until(self._clock.now() + 0.01)
+
+    def _owner(self) -> str:
+        arm = self._arm.peek()
+        return "" if arm is None else arm.lease
 
 
 class Heart:
