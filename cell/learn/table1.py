@@ -50,8 +50,7 @@ def table1(rules: Preset, bank: BeliefBank, job: Job, tick: Tick) -> list[Row]:
         rows.append(row_of(base, method, "greedy", 0, [result], reference))
     if solvable(rules):
         rows.append(dp_row(base, BestResponse(rules).value, reference))
-        if not rules.published:
-            rows.append(row_of(base, "qmdp", "greedy", 0, [qmdp(rules, job.episodes)], reference))
+        rows.append(row_of(base, "qmdp", "greedy", 0, [qmdp(rules, job.episodes)], reference))
     methods = learners(rules)
     work = [(m, seed) for m in methods for seed in range(1, job.seeds + 1)]
     per: dict[tuple[str, str], list[dict[str, Statistic]]] = {}
