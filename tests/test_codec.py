@@ -116,6 +116,10 @@ def examples() -> list[Any]:
         ),
         T.Event(1.0, 20, "node", "two lines\nof text"),
         T.ClockTick(0.008),
+        T.PlannedPath(1.5, RNG.uniform(-1, 1, (7, 3))),
+        T.PlannedPath(0.0, np.zeros((0, 3))),
+        T.OperatorCommand("view", "cap", 0.1),
+        T.NextRound("view", "expert", 15, 2**40),
     ]
 
 

@@ -15,6 +15,7 @@ BASE = {
     "cell.frames",
     "cell.config",
     "cell.settings",
+    "cell.cameras",
     "cell.limits",
     "cell.errors",
     "cell.version",
@@ -27,7 +28,9 @@ ABOVE = {
     "cell.decision": {"cell.perception", "cell.motion"},
     "cell.run": {"cell.decision", "cell.perception", "cell.motion", "cell.record"},
     "cell.replay": {"cell.decision", "cell.perception", "cell.motion", "cell.record"},
+    "cell.calibrate": {"cell.run", "cell.decision", "cell.perception", "cell.motion"},
     "cell.doctor": {"cell.perception", "cell.motion"},
+    "cell.view": {"cell.perception", "cell.motion", "cell.record", "urdf"},
     "cell.learn": {"cell.decision.policy"},
     "cell.trials": {
         "cell.run",

@@ -33,6 +33,7 @@ from cell.run.measure import Meter
 from cell.run.node_process import NodeProcess
 from cell.run.recording import about, hand_tap, tapped
 from cell.run.result import RoundResult, gesture_delay, judge
+from cell.run.tell import publish
 from cell.version import code_version, commit
 from cell.wire.session import Session
 from cell.wire.types import Truth, TruthRequest
@@ -147,7 +148,7 @@ def run_round(
         with _interruptible():
             if judge_tick is not None:
                 watch = _with_truth(session, judge_tick, watch, judge_every)
-            return _drive(supervisor, link, session, meter, options, policy, watch)
+            return _drive(config, supervisor, link, session, meter, options, policy, watch)
 
 
 def _with_truth(session: Session, judge_tick: Judge, watch: Watcher | None, every: int) -> Watcher:
@@ -181,6 +182,7 @@ def _companion(
 
 
 def _drive(
+    config: CellConfig,
     supervisor: Supervisor,
     link: Link,
     session: Session,
@@ -190,14 +192,14 @@ def _drive(
     watch: Watcher | None,
 ) -> RoundResult:
     """The loop itself; stops the arm on its path whatever ends it early."""
-    began = perf_s()
+    began, length = perf_s(), config.gripper.length
     try:
         inputs = link.exchange(())
         start = inputs.t
         while True:
             outputs = supervisor.tick(inputs)
             meter.note(inputs, outputs)
-            _publish(session, outputs)
+            publish(session, outputs, length)
             if watch is not None:
                 watch(inputs, outputs)
             if outputs.done:
@@ -262,17 +264,6 @@ def _warm_up(planner: Planner, detector: Detector, config: CellConfig) -> None:
     planner.plan_joints(home, home + 0.01, config.motion.collaborative_speed)
     camera = config.cameras["belt"]
     detector.detect(np.zeros((camera.height, camera.width, 3), np.uint8))
-
-
-def _publish(session: Session, outputs: Outputs) -> None:
-    """Tell watchers, recorders and viewers."""
-    session.publish(session.keys.supervisor_state, outputs.state)
-    for detections in outputs.detections:
-        session.publish(session.keys.detections, detections)
-    for hands in outputs.hands:
-        session.publish(session.keys.hands, hands)
-    for event in outputs.events:
-        session.publish(session.keys.events, event)
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from cell.wire.layouts import (
     EventLayout,
     JointStateLayout,
     Layout,
+    PathLayout,
 )
 from cell.wire.layouts_cell import FlatLayout, StepReplyLayout, TrajectoryLayout
 from cell.wire.layouts_image import FrameLayout, ImageLayout
@@ -43,6 +44,8 @@ _FLAT: tuple[type[Any], ...] = (
     types.StepRequest,
     types.ResetRequest,
     types.TruthRequest,
+    types.OperatorCommand,
+    types.NextRound,
 )
 
 _LAYOUTS: dict[type[Any], Layout[Any]] = {
@@ -54,6 +57,7 @@ _LAYOUTS: dict[type[Any], Layout[Any]] = {
     types.Detections: DetectionsLayout(),
     types.Hands: HandsLayout(),
     types.Event: EventLayout(),
+    types.PlannedPath: PathLayout(),
     types.ClockTick: ClockLayout(),
     types.StepReply: StepReplyLayout(),
     types.Truth: TruthLayout(),

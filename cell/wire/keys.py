@@ -96,6 +96,21 @@ class Keys:
         return f"{self.name}/perception/hands"
 
     @property
+    def planned_path(self) -> str:
+        """`PlannedPath`, supervisor -> all, with every trajectory that it sends."""
+        return f"{self.name}/supervisor/path"
+
+    @property
+    def operator(self) -> str:
+        """Query: `OperatorCommand` -> `Reply` of the supervisor."""
+        return f"{self.name}/operator/command"
+
+    @property
+    def next_round(self) -> str:
+        """Query: `NextRound` -> `Reply` of what started the supervisor."""
+        return f"{self.name}/operator/next"
+
+    @property
     def sim_step(self) -> str:
         """Query, simulation only: `StepRequest` -> `StepReply`."""
         return f"{self.name}/sim/step"

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from cell.errors import DecodeError, WireError, one_of
 from cell.wire import cdr
 from cell.wire.cdr import Reader, Writer
-from cell.wire.types import Box, CameraInfo, ClockTick, Detections, Event, JointState
-from cell.wire.typestore import make
+from cell.wire.types import Box, CameraInfo, ClockTick, Detections, Event, JointState, PlannedPath
+from cell.wire.typestore import POINT, make
 
 M = TypeVar("M")
 
@@ -28,10 +28,14 @@ JOINT_NAMES = (
 MAX_SIDE = 4096
 #: Most boxes in one message.
 MAX_BOXES = 1000
+#: Most places on a planned path.
+MAX_PLACES = 256
 #: Size limit of messages that carry a few numbers and short texts [bytes].
 SMALL = 64 * 1024
 
 _FRAME = "camera_"
+_WORLD = "base_link"
+_POSE = "geometry_msgs/msg/Pose"
 _LEVELS = (10, 20, 30, 40, 50)
 
 
@@ -214,6 +218,27 @@ class EventLayout(Simple[Event]):
             raise DecodeError(f"level: {one_of(ros.level, _LEVELS)}")
         t = cdr.seconds(ros.stamp, "stamp")
         return Event(t, ros.level, cdr.text(ros.name, "name"), cdr.text(ros.msg, "msg"))
+
+
+class PathLayout(Simple[PlannedPath]):
+    """nav_msgs/Path; its poses carry no turn."""
+
+    ros_type = "nav_msgs/msg/Path"
+
+    def to_ros(self, m: PlannedPath) -> Any:
+        if m.p_WT.ndim != 2 or m.p_WT.shape[1] != 3 or len(m.p_WT) > MAX_PLACES:
+            raise WireError(f"a path must have shape (N, 3), N at most {MAX_PLACES}, got {m.p_WT.shape}")
+        head, stamped, pose = header(m.t, _WORLD), make("geometry_msgs/msg/PoseStamped"), make(_POSE)
+        turn = make("geometry_msgs/msg/Quaternion")(0.0, 0.0, 0.0, 1.0)
+        places = [make(POINT)(*map(float, p)) for p in m.p_WT]
+        return make(self.ros_type)(head, [stamped(head, pose(place, turn)) for place in places])
+
+    def from_ros(self, ros: Any) -> PlannedPath:
+        if len(ros.poses) > MAX_PLACES:
+            raise DecodeError(f"{len(ros.poses)} places, at most {MAX_PLACES} are allowed")
+        places = [p.pose.position for p in ros.poses]
+        p_WT = np.array([(p.x, p.y, p.z) for p in places], dtype=np.float64).reshape(-1, 3)
+        return PlannedPath(cdr.seconds(ros.header.stamp, "stamp"), cdr.frozen(p_WT, "path"))
 
 
 class ClockLayout(Simple[ClockTick]):

@@ -18,6 +18,10 @@ from cell.wire.types_person import SeenHand as SeenHand
 from cell.wire.types_person import ShownGesture as ShownGesture
 from cell.wire.types_person import Truth as Truth
 from cell.wire.types_person import TruthRequest as TruthRequest
+from cell.wire.types_watch import Event as Event
+from cell.wire.types_watch import NextRound as NextRound
+from cell.wire.types_watch import OperatorCommand as OperatorCommand
+from cell.wire.types_watch import PlannedPath as PlannedPath
 
 Array = NDArray[np.float64]
 
@@ -294,16 +298,6 @@ class ResetRequest:
     holder: str
     seed: int
     onions: int
-
-
-@dataclass(frozen=True)
-class Event:
-    """A line for people: level 10 debug, 20 info, 30 warn, 40 error."""
-
-    t: float
-    level: int
-    name: str
-    text: str
 
 
 @dataclass(frozen=True)

@@ -57,6 +57,9 @@ class Action(IntEnum):
 SIGNALS = ("off", "collaborative", "requested", "industrial", "hold", "stopped")
 """What the mode light can show. "requested": industrial mode is wanted, but not permitted yet."""
 
+ORDERS = ("hold", "go", "cap", "resume")
+"""What an operator may order: wait on the path, go on, a speed cap, lift a stop."""
+
 
 class Mode(IntEnum):
     """The supervisor's mode (state machine of the speed supervision)."""
