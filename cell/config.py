@@ -21,6 +21,7 @@ from cell.settings import (
     ArmConfig,
     BeltConfig,
     BinConfig,
+    BoardConfig,
     CameraConfig,
     GestureConfig,
     GripperConfig,
@@ -55,6 +56,7 @@ class CellConfig(Section, frozen=True):
     motion: MotionConfig
     supervisor: SupervisorConfig
     ur3e: Ur3eConfig
+    board: BoardConfig = BoardConfig()
     renderer: str = "auto"
     """Simulation: "gl", "tiny", or "auto" (gl where EGL works, else tiny with a warning)."""
     detector: str = ""
@@ -134,10 +136,18 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     return data
 
 
+DICTIONARIES = tuple(f"{bits}X{bits}_{count}" for bits in (4, 5, 6) for count in (50, 100, 250))
+"""Marker dictionaries of OpenCV that a board may use."""
+_OPTIONAL = {"": {"renderer", "detector", "board"}}
+"""Keys that the reference cell does without, by section."""
+
+
 def _overlay(base: dict[str, Any], top: dict[str, Any], where: str, source: Path) -> dict[str, Any]:
     """Recursive merge in which a key that the base lacks is an error naming the legal ones."""
     out = dict(base)
-    optional = {"renderer", "detector"} if not where else set()
+    optional = _OPTIONAL.get(where, set())
+    if where.startswith("cameras.") and where.count(".") == 2:
+        optional = {"calibration", "simulated"}
     for key, value in top.items():
         name = f"{where}{key}"
         if key not in base and key not in optional and where != "cameras.":
@@ -202,6 +212,7 @@ def _check(config: CellConfig) -> None:
             all(device.partition(":")[0] in ("realsense", "oakd") for device in config.ur3e.devices.values()),
             "ur3e.devices: realsense or oakd, and where needed a colon and the serial number",
         ),
+        (config.board.dictionary in DICTIONARIES, f"board.dictionary: one of {', '.join(DICTIONARIES)}"),
         (config.renderer in ("auto", "gl", "tiny"), "renderer: auto, gl or tiny"),
         (config.name.replace("_", "").isalnum(), "name: letters, digits and _"),
     ]
@@ -212,6 +223,16 @@ def _check(config: CellConfig) -> None:
             (name.replace("_", "").isalnum(), f"{where}: letters, digits and _"),
             (sideways > 1e-3, f"{where}.target: not straight above or below {where}.position"),
             (camera.min_depth < camera.max_depth, f"{where}.min_depth < {where}.max_depth"),
+            (
+                camera.calibration is None
+                or math.dist(camera.calibration.measured_at, (camera.width, camera.height, camera.hfov))
+                < 1e-9,
+                f"{where}.calibration: measured with the present width, height and hfov; calibrate again",
+            ),
+            (
+                camera.calibration is None or abs(math.hypot(*camera.calibration.quaternion) - 1) < 1e-3,
+                f"{where}.calibration.quaternion: of length 1",
+            ),
         ]
     for fine, rule in rules:
         if not fine:

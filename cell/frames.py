@@ -39,6 +39,24 @@ def rot_z(a: float) -> Array:
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
 
 
+def rotation(v: object) -> Array:
+    """Rotation matrix (3, 3) of a rotation vector (3,) [rad] (Rodrigues)."""
+    vector = np.asarray(v, dtype=float)
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = vector / angle
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    out: Array = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+    return out
+
+
+def angle_of(R: Array) -> float:
+    """Angle of a rotation (3, 3) [rad], 0..pi."""
+    sine = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    return float(np.arctan2(np.linalg.norm(sine), (np.trace(R) - 1) / 2))
+
+
 def pose(R: Array | None = None, p: object = (0.0, 0.0, 0.0)) -> Array:
     """Pose from rotation (3, 3) and position (3,) [m], shape (4, 4)."""
     X = np.eye(4)

@@ -83,8 +83,46 @@ class BinConfig(Section, frozen=True):
     """Height of the held onion's centre above the opening when it is let go [m]."""
 
 
+class CalibrationConfig(Section, frozen=True):
+    """What `cell calibrate` measured of one camera; written by it, not by hand."""
+
+    position: Vec3
+    """Optical centre in W [m]."""
+    quaternion: tuple[float, float, float, float]
+    """R_WC as (x, y, z, w)."""
+    focal: tuple[Positive, Positive]
+    """fx, fy [px]."""
+    centre: tuple[float, float]
+    """cx, cy [px]; (0, 0) is the middle of the top-left pixel."""
+    measured_at: tuple[Pixels, Pixels, Positive]
+    """Width [px], height [px] and hfov [rad] that were configured then; others need a new calibration."""
+    views: Count
+    """Poses of the board that it rests on."""
+    residual: NotNegative
+    """Root mean square distance of the seen corners from where they should be [px]."""
+    uncertainty: tuple[NotNegative, NotNegative]
+    """Standard deviations of the pose [m], [rad], by the residuals."""
+    date: str
+    """When, as 2026-01-31T12:00:00Z."""
+    made_by: str
+    """The command's version and the robot: "sim", or the controller's address."""
+
+
+class MisplacedConfig(Section, frozen=True):
+    """Simulation: how a camera differs from its position, target and hfov."""
+
+    shift: Vec3 = (0.0, 0.0, 0.0)
+    """Of the optical centre, in W [m]."""
+    turn: Vec3 = (0.0, 0.0, 0.0)
+    """About the camera's own axes, a rotation vector [rad]."""
+    focal: tuple[Positive, Positive] = (1.0, 1.0)
+    """Factors on fx and fy."""
+    centre: tuple[float, float] = (0.0, 0.0)
+    """Added to cx and cy [px]."""
+
+
 class CameraConfig(Section, frozen=True):
-    """An RGB-D camera; X_WC follows from position and target."""
+    """An RGB-D camera; X_WC follows from position and target, or from its calibration."""
 
     position: Vec3
     target: Vec3
@@ -108,6 +146,36 @@ class CameraConfig(Section, frozen=True):
     """Standard deviation of the disparity [px]."""
     depth_unit: Positive
     """Quantum of a depth reading [m]."""
+    calibration: CalibrationConfig | None = None
+    """Measured pose and intrinsics, which then hold instead of position, target and hfov."""
+    simulated: MisplacedConfig | None = None
+    """Simulation only: where the camera really is. The supervisor never reads it."""
+
+
+class BoardConfig(Section, frozen=True):
+    """The calibration board: a plate with a ChArUco pattern, held upright between the finger pads.
+
+    Its pattern faces along x of the TCP frame, its upper edge along z.
+    """
+
+    columns: Annotated[int, Meta(ge=3, le=20)] = 6
+    rows: Annotated[int, Meta(ge=3, le=20)] = 4
+    """Squares of the pattern."""
+    square: Positive = 0.045
+    """Side of a square [m]; measure what the printer made of it."""
+    marker: Annotated[float, Meta(gt=0.3, lt=1)] = 0.75
+    """Side of a marker as a share of the square's."""
+    dictionary: str = "4X4_50"
+    """OpenCV's dictionary of markers, without DICT_."""
+    margin: Positive = 0.25
+    """White round the pattern as a share of a square."""
+    height: float = 0.12
+    """Height of the pattern's middle above the TCP, along z of the TCP frame [m]; roughly."""
+    mounted: bool = False
+    """Simulation: the board is between the finger pads."""
+    shift: Vec3 = (0.0, 0.0, 0.0)
+    turn: Vec3 = (0.0, 0.0, 0.0)
+    """Simulation: how the board really sits, in its own frame [m], rotation vector [rad]."""
 
 
 class PersonConfig(Section, frozen=True):

@@ -13,8 +13,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cameras import camera_pose
 from cell.config import CellConfig
-from cell.frames import Array, look_at
+from cell.frames import Array
 from cell.limits import DH_A, DH_D, link_frames
 
 _SHOULDER_OFFSET, _ELBOW_OFFSET = 0.120, 0.027
@@ -82,7 +83,7 @@ class CollisionModel:
         boxes, self._low, self._high = _boxes(config)
         self._belt = np.array([name == "belt" for name in boxes])
         self._layer = boxes.index(_PRODUCE)
-        eyes = [look_at(c.position, c.target) for c in config.cameras.values()]
+        eyes = [camera_pose(c) for c in config.cameras.values()]
         self._cameras = np.array([X[:3, 3] for X in eyes])
         self._posts = np.array([X[:3, 3] - _POST_BEHIND * X[:3, 2] for X in eyes])
         count = len(eyes)

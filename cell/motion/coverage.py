@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cameras import camera_pose
 from cell.config import CellConfig
 from cell.frames import Array, rot_x, rot_z
 
@@ -50,7 +51,7 @@ class Onion:
 
     def seen_on_belt(self, config: CellConfig) -> Array:
         """Probability per patch (M,) of being seen before the grasp, over the pick window and all yaws."""
-        belt, p_WC = config.belt, np.array(config.cameras["belt"].position)
+        belt, p_WC = config.belt, camera_pose(config.cameras["belt"])[:3, 3]
         seen = []
         for x in np.linspace(*belt.pick_x, 3):
             for y in np.linspace(*belt.pick_y, 5):

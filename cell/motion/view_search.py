@@ -13,9 +13,10 @@ from itertools import islice, pairwise, permutations
 
 import numpy as np
 
+from cell.cameras import camera_pinhole, camera_pose
 from cell.config import CellConfig
 from cell.errors import ConfigError, PlanError
-from cell.frames import Array, Pinhole, look_at, pose
+from cell.frames import Array, pose
 from cell.limits import Q_MAX, QD_MAX
 from cell.motion.coverage import Onion
 from cell.motion.planner import Planner
@@ -67,8 +68,8 @@ class ViewSearch:
         self._config = config
         self._planner = Planner(config, thorough=False)
         camera = config.cameras["belt"]
-        self._pinhole = Pinhole.from_hfov(camera.width, camera.height, camera.hfov)
-        self._X_WC = look_at(camera.position, camera.target)
+        self._pinhole = camera_pinhole(camera)
+        self._X_WC = camera_pose(camera)
         belt, home = config.belt, np.array(config.arm.home)
         hover = [
             self._planner.grasp_pose(np.array([x, y, belt.top_z + RADIUS + config.motion.hover]), 0.0)

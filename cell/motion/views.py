@@ -7,6 +7,7 @@ from functools import lru_cache
 import msgspec
 import numpy as np
 
+from cell.cameras import camera_pose
 from cell.config import CellConfig, from_dict
 from cell.motion.coverage import Onion
 from cell.motion.view_search import RADIUS, View, ViewSearch
@@ -33,7 +34,7 @@ def _solve(encoded: bytes) -> tuple[tuple[View, ...], float, float]:
     config = from_dict(msgspec.json.decode(encoded))
     views = ViewSearch(config).best()
     onion = Onion(RADIUS)
-    p_WC = np.array(config.cameras["belt"].position)
+    p_WC = camera_pose(config.cameras["belt"])[:3, 3]
     seen = np.any([onion.seen_from(v.X_WT[:3, :3].T @ (p_WC - v.X_WT[:3, 3])) for v in views], axis=0)
     everything = np.where(seen, 1.0, onion.seen_on_belt(config))
     return views, float(everything.mean()), float(seen.mean())

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cell.cameras import camera_pose
 from cell.config import CellConfig
 from cell.frames import Array
 
@@ -47,7 +48,7 @@ def hand_regions(p_WP: Array, config: CellConfig) -> tuple[Region, ...]:
     arms = p[(np.linalg.norm(p[:, :2] - trunk, axis=1) > _TRUNK) & (p[:, 2] < _SHOULDERS)]
     if len(arms) < _LEAST_POINTS:
         return ()
-    camera = np.array(config.cameras["person"].position)
+    camera = camera_pose(config.cameras["person"])[:3, 3]
     found: list[Region] = []
     for measure in (arms[:, 0], np.linalg.norm(arms - camera, axis=1)):
         foremost = arms[np.argsort(measure, kind="stable")[_LEAST_POINTS // 2]]

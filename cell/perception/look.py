@@ -7,8 +7,9 @@ from typing import Protocol
 
 import numpy as np
 
+from cell.cameras import camera_pinhole, camera_pose
 from cell.config import CellConfig
-from cell.frames import Array, Pinhole, look_at
+from cell.frames import Array
 from cell.perception.localise import locate
 from cell.perception.tracking import Sighting
 from cell.wire.types import Box, Detections, Frame
@@ -55,8 +56,8 @@ class Eye:
         camera = config.cameras["belt"]
         self._config = config
         self._detector = detector
-        self._pinhole = Pinhole.from_hfov(camera.width, camera.height, camera.hfov)
-        self._X_WC = look_at(camera.position, camera.target)
+        self._pinhole = camera_pinhole(camera)
+        self._X_WC = camera_pose(camera)
 
     def belt(self, frame: Frame) -> Belt:
         """Every onion on the belt that `frame` shows."""

@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cameras import camera_pinhole, camera_pose
 from cell.config import CellConfig
-from cell.frames import Array, Pinhole, look_at
+from cell.frames import Array
 from cell.settings import BinConfig
 
 _WALL = 0.006
@@ -38,8 +39,8 @@ class EmptyScene:
     def __init__(self, config: CellConfig, camera: str, stride: int) -> None:
         c = config.cameras[camera]
         self.stride = stride
-        self.pinhole = Pinhole.from_hfov(c.width, c.height, c.hfov)
-        self.X_WC = look_at(c.position, c.target)
+        self.pinhole = camera_pinhole(c)
+        self.X_WC = camera_pose(c)
         self.p_WC: Array = self.X_WC[:3, 3]
         u, v = np.meshgrid(np.arange(0, c.width, stride), np.arange(0, c.height, stride))
         rays_C = self.pinhole.back_project(np.stack([u, v], axis=-1), np.ones(u.shape))
@@ -85,7 +86,7 @@ def _boxes(config: CellConfig, camera: str) -> list[tuple[Array, Array]]:
     ]
     for name, c in config.cameras.items():
         if name != camera:
-            X_WC = look_at(c.position, c.target)
+            X_WC = camera_pose(c)
             x, y, z = X_WC[:3, 3] - _BEHIND * X_WC[:3, 2]
             boxes.append(((x - _POST, y - _POST, floor), (x + _POST, y + _POST, z + 0.05)))
             p = X_WC[:3, 3]

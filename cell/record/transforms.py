@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from cell.cameras import camera_pose
 from cell.config import CellConfig
-from cell.frames import Array, look_at, pose, quaternion, rot_x, rot_y, rot_z
+from cell.frames import Array, pose, quaternion, rot_x, rot_y, rot_z
 from cell.wire import cdr
 from cell.wire.layouts import header, optical_frame
 from cell.wire.typestore import make
@@ -53,10 +54,7 @@ class Transforms:
         joints = [_joint(element) for element in ET.fromstring(self._text).iter("joint")]
         self._fixed = [j for j in joints if j.kind == "fixed"]
         self._moving = {j.name: j for j in joints if j.kind != "fixed"}
-        self._cameras = {
-            optical_frame(name): look_at(camera.position, camera.target)
-            for name, camera in config.cameras.items()
-        }
+        self._cameras = {optical_frame(name): camera_pose(camera) for name, camera in config.cameras.items()}
 
     def description(self) -> bytes:
         """std_msgs/String in CDR: the URDF."""

@@ -7,9 +7,9 @@ import threading
 from types import TracebackType
 from typing import Self
 
+from cell.cameras import camera_pinhole
 from cell.config import CellConfig
 from cell.errors import BackendError, CellError, ConfigError, one_of
-from cell.frames import Pinhole
 from cell.wire.reader import LatestFrame
 from cell.wire.session import Session
 from cell.wire.types import CameraInfo, Capture, Frame, Reply, ResetRequest, Truth, TruthRequest
@@ -53,7 +53,7 @@ class SimCamera:
     def info(self) -> CameraInfo:
         """Intrinsics: both sides know them from the configuration."""
         camera = self._config.cameras[self.name]
-        p = Pinhole.from_hfov(camera.width, camera.height, camera.hfov)
+        p = camera_pinhole(camera)
         return CameraInfo(0.0, f"camera_{self.name}", p.width, p.height, p.fx, p.fy, p.cx, p.cy)
 
     def request(self) -> None:

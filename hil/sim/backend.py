@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from cell.cameras import camera_pinhole
 from cell.config import CellConfig
 from cell.errors import BackendError, one_of
 from cell.wire.types import (
@@ -153,7 +154,7 @@ class SimBackend:
         return BeltState(self.now(), self._batch, moving=False, speed=0.0)
 
     def camera_info(self, camera: str) -> CameraInfo:
-        p = self._camera(camera).pinhole
+        p = camera_pinhole(self._camera(camera).config)
         return CameraInfo(self.now(), f"camera_{camera}", p.width, p.height, p.fx, p.fy, p.cx, p.cy)
 
     def request_frame(self, camera: str) -> None:

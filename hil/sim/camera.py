@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.frames import Array, Pinhole, look_at
+from cell.cameras import true_pinhole, true_pose
+from cell.frames import Array, Pinhole
 from cell.settings import CameraConfig
 from cell.wire.types import Frame
 from hil.sim.render.renderer import Image, Pending
@@ -143,8 +144,8 @@ class Camera:
     def __init__(self, name: str, config: CameraConfig, seed: int) -> None:
         self.name = name
         self.config = config
-        self.pinhole = Pinhole.from_hfov(config.width, config.height, config.hfov)
-        self.X_WC: Array = look_at(config.position, config.target)
+        self.pinhole = true_pinhole(config)
+        self.X_WC: Array = true_pose(config)
         self.near, self.far = NEAR, max(FAR, config.max_depth)
         self.seq = 0
         self._seed = (seed, zlib.crc32(name.encode()))

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cell.cameras import true_pose
 from cell.config import CellConfig
-from cell.frames import Array, look_at, pose
+from cell.frames import Array, pose
 from cell.settings import BinConfig
 
 POST_RADIUS = 0.02
@@ -92,7 +93,7 @@ def _bin(bin: BinConfig, floor: float, rgba: tuple[float, float, float, float]) 
 def _camera(config: CellConfig, name: str) -> list[Fixture]:
     """A vertical post with the camera's housing, which lies behind the optical centre."""
     camera = config.cameras[name]
-    X_WC = look_at(camera.position, camera.target)
+    X_WC = true_pose(camera)
     X_WH = X_WC @ pose(p=(0.0, 0.0, -CAMERA_BODY[2] / 2 - 0.002))
     x, y, _ = X_WH[:3, 3] - 0.05 * X_WC[:3, 2]
     top = float(X_WH[2, 3]) + 0.03

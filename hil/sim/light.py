@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from cell.cameras import true_pose
 from cell.config import CellConfig
 from cell.errors import BackendError, one_of
-from cell.frames import Array, inverse, look_at, pose
+from cell.frames import Array, inverse, pose
 from cell.wire.vocabulary import SIGNALS
 from hil.sim.render.mesh import cylinder_mesh
 from hil.sim.render.scene import Rgba, Scene, Visual
@@ -35,7 +36,7 @@ class ModeLight:
 
     def __init__(self, scene: Scene, config: CellConfig, anchor: int, X_WA: Array) -> None:
         camera = config.cameras["belt"]
-        X_WC = look_at(camera.position, camera.target)
+        X_WC = true_pose(camera)
         x, y, z = X_WC[:3, 3] - 0.065 * X_WC[:3, 2]
         X_WL = pose(p=(x, y, z + _ABOVE))
         self.signal = "off"

@@ -15,6 +15,7 @@ from cell.errors import ConfigError
 from cell.frames import Array, from_quaternion, pose, quaternion
 from cell.settings import BinConfig
 from hil.sim.arm import SimArm
+from hil.sim.board import add_board
 from hil.sim.fixtures import fixtures
 from hil.sim.gripper import SimGripper
 from hil.sim.light import ModeLight
@@ -72,6 +73,8 @@ class World:
         self.gripper = SimGripper(self.client, self.robot, self.joints, config.gripper)
         self._rng = np.random.default_rng([seed, 0x0410])
         self._add_batch(onions)
+        if config.board.mounted:
+            add_board(self.scene, config.board, self.robot, self.tcp_link)
         self._light = ModeLight(self.scene, config, self._anchor, self._X_WA)
         self.person: Presence | None = None
         if person:

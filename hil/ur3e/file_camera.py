@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from cell.cameras import camera_pinhole
 from cell.clock import WallClock
 from cell.config import CellConfig
 from cell.errors import BackendError, ConfigError, DecodeError
-from cell.frames import Pinhole
 from cell.wire import codec
 from cell.wire.pictures import COLOR_SUFFIX, COMPRESSED, DEPTH_SUFFIX, expand
 from cell.wire.types import CameraInfo, Frame, Image
@@ -66,7 +66,7 @@ class FileCamera:
 
     def info(self) -> CameraInfo:
         camera = self._config.cameras[self.name]
-        p = Pinhole.from_hfov(camera.width, camera.height, camera.hfov)
+        p = camera_pinhole(camera)
         now = self._start.clock.now()
         return CameraInfo(now, f"camera_{self.name}", p.width, p.height, p.fx, p.fy, p.cx, p.cy)
 

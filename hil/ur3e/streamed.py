@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.cameras import camera_pinhole
 from cell.clock import WallClock
 from cell.errors import BackendError
 from cell.settings import CameraConfig
@@ -38,7 +39,8 @@ class StreamedCamera(ABC):
             self._grabber = Grabber(self.name, self._grab, self._clock)
 
     def info(self) -> CameraInfo:
-        p = self._fitted().pinhole
+        self._fitted()  # raises before it is connected
+        p = camera_pinhole(self._camera)
         return CameraInfo(self._clock.now(), f"camera_{self.name}", p.width, p.height, p.fx, p.fy, p.cx, p.cy)
 
     def request(self) -> None:
