@@ -49,6 +49,7 @@ def main() -> int:
             person=args.person,
             robot_ip=args.robot_ip,
             cameras=args.cameras,
+            apart=True,
         )
         if not backend.steppable:
             prefer_process()

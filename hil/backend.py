@@ -145,6 +145,7 @@ def make_backend(
     person: str = "",
     robot_ip: str = "",
     cameras: str = "",
+    apart: bool = False,
 ) -> Backend:
     """Build the backend called `name`; raises `ConfigError` listing the names there are.
 
@@ -152,7 +153,8 @@ def make_backend(
         seed, onions: the first batch, for simulated surroundings.
         person: name of the simulated person's persona; empty: nobody.
         robot_ip: address of the real arm's controller; empty: as configured.
-        cameras: of the real arm: "real", "sim", or a recording.
+        cameras: of the real arm: "real", "sim", or a recording. apart: let them publish for themselves
+            where they can, on the wire of `config`, which must be open before `connect`.
     """
     from cell.errors import ConfigError, one_of
 
@@ -163,5 +165,7 @@ def make_backend(
     if name == "ur3e":
         from hil.ur3e.backend import Ur3eBackend
 
-        return Ur3eBackend(config, robot_ip, cameras or "real", seed=seed, onions=onions, person=person)
+        return Ur3eBackend(
+            config, robot_ip, cameras or "real", seed=seed, onions=onions, person=person, apart=apart
+        )
     raise ConfigError(f"backend: {one_of(name, ['sim', 'ur3e'])}")

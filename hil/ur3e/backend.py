@@ -14,13 +14,13 @@ import numpy as np
 
 from cell.clock import WallClock
 from cell.config import CellConfig
-from cell.errors import BackendError, CellError, RefusedError, one_of
+from cell.errors import BackendError, CellError, RefusedError
 from cell.limits import RefusalCode
 from cell.wire.types import ArmStatus, Array, BeltState, CameraInfo, Frame, GripperState, JointState, Truth
-from hil.cameras import CameraSource
 from hil.ur3e import checks
 from hil.ur3e.block import Measured
-from hil.ur3e.cameras import make_cameras, make_surroundings
+from hil.ur3e.camera_set import Cameras, CamerasApart, CameraSet
+from hil.ur3e.cameras import make_surroundings
 from hil.ur3e.conditions import SILENCE, condition, robot_condition
 from hil.ur3e.driver import Driver
 from hil.ur3e.lamp import lamp_bits
@@ -40,6 +40,8 @@ class Ur3eBackend:
         robot_ip: address of the controller; empty: as configured.
         cameras: "real", "sim" (those of an emulated controller's surroundings), or a recording.
         seed, onions, person: the batch and the persona of simulated surroundings.
+        apart: the cameras publish their frames themselves, from a process of their own, on the wire of
+            `config`, which must be open; `take_frames` is empty then.
     """
 
     name = "ur3e"
@@ -54,6 +56,7 @@ class Ur3eBackend:
         seed: int = 0,
         onions: int = 15,
         person: str = "",
+        apart: bool = False,
     ) -> None:
         self._config, self._cameras_from = config, cameras
         self._batch = (seed, onions, person)
@@ -62,8 +65,8 @@ class Ur3eBackend:
         self._period = config.arm.control_period
         self._driver = Driver(config, self._robot_ip, self._clock)
         self._gripper = Gripper(config, self._robot_ip, self._clock)
-        self._cameras: dict[str, CameraSource] = {}
-        self._dead: set[str] = set()
+        eyes = CamerasApart if apart else CameraSet
+        self._cameras: Cameras = eyes(cameras, config, self._robot_ip, self._clock)
         self._sample: Measured | None = None
         self._begin = self._t = 0.0
         self._ticks = 0
@@ -91,10 +94,7 @@ class Ur3eBackend:
                 surroundings = make_surroundings(self._config, self._robot_ip)
                 self._end_surroundings, self.truth = surroundings.close, surroundings.truth
                 surroundings.reset(*self._batch)
-            cameras = make_cameras(self._cameras_from, self._config, self._robot_ip, self._clock)
-            for name, camera in cameras.items():
-                self._cameras[name] = camera
-                camera.connect()
+            self._cameras.connect()
             self._gripper.connect()
             self._driver = Driver(self._config, self._robot_ip, self._clock)
             self._driver.start()
@@ -115,10 +115,7 @@ class Ur3eBackend:
             self._arming = None
         self._driver.close()
         self._gripper.close()
-        for camera in self._cameras.values():
-            camera.close()
-        self._cameras.clear()
-        self._dead.clear()
+        self._cameras.close()
         if self._end_surroundings is not None:
             self._end_surroundings()
             self._end_surroundings = self.truth = None
@@ -187,31 +184,22 @@ class Ur3eBackend:
         return BeltState(self.now(), 1, moving=False, speed=0.0)
 
     def camera_info(self, camera: str) -> CameraInfo:
-        return self._camera(camera).info()
+        self._connected()
+        return self._cameras.info(camera)
 
     def request_frame(self, camera: str) -> None:
-        source = self._camera(camera)
-        if camera in self._dead:
-            raise BackendError(f"camera {camera} is gone; see the events")
-        source.request()
+        self._connected()
+        self._cameras.request(camera)
 
     def take_frames(self) -> list[Frame]:
-        frames: list[Frame] = []
-        for name, camera in self._cameras.items():
-            if name in self._dead:
-                continue
-            try:
-                frames += camera.take()
-            except CellError as error:
-                self._dead.add(name)
-                self._news.append((ERROR, f"camera {name} is gone: {error}"))
-        return frames
+        return self._cameras.take()
 
     def news(self) -> list[tuple[int, str]]:
         """What driver, gripper and cameras have to say."""
         self._count_packets()
         out, self._news = self._news, []
         out += [(WARN, f"arm driver: {text}") for text in self._driver.news()]
+        out += [(ERROR, text) for text in self._cameras.news()]
         return out + [(WARN, text) for text in self._gripper.news()]
 
     def timing(self) -> str:
@@ -289,12 +277,6 @@ class Ur3eBackend:
 
     def _problem(self) -> str:
         return condition(self._sample, self._clock.now(), self._epoch)
-
-    def _camera(self, name: str) -> CameraSource:
-        self._connected()
-        if name not in self._cameras:
-            raise BackendError(f"camera: {one_of(name, self._cameras)}")
-        return self._cameras[name]
 
     def _count_packets(self) -> None:
         m = self._connected()
