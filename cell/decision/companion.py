@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -65,6 +66,7 @@ class Companion:
         self._actions = actions or HumanActions(config)
         self._past: deque[_Then] = deque()
         self._view: PersonView | None = None
+        self._ahead: PersonView | None = None
         self._fed: Action | None = None
         self._fed_at = 0.0
         self._fresh = False
@@ -72,6 +74,16 @@ class Companion:
         self.hands: list[Hands] = []
 
     # -- taking in -------------------------------------------------------------------------------------
+
+    def look(self, frames: Iterable[Frame], onions: Array) -> None:
+        """Look at the first of these frames ahead of the tick that will bring it.
+
+        In real time looking takes longer than deciding: what is read of the arm after it is fresh
+        when a motion is changed. The tick comes to the same with or without it.
+        """
+        frame = next((f for f in frames if self._is_news(f)), None)
+        if frame is not None and self._past and frame.t <= self._past[-1].t:
+            self._ahead = self._look(frame, onions)
 
     def update(self, inputs: Inputs, held_radius: float, onions: Array) -> None:
         """One tick: the arm's state, and any frame of the person camera."""
@@ -82,17 +94,26 @@ class Companion:
             self._past.popleft()
         self._fresh = False
         for frame in inputs.frames:
-            if frame.camera != "person" or (self._view is not None and frame.t <= self._view.t):
+            if not self._is_news(frame):
                 continue
-            then = min(self._past, key=lambda s: abs(s.t - frame.t))
             before = Gesture.NONE if self._view is None else self._view.sign
-            arm = self._arm(then)
-            self._view = self._eye.look(frame, arm, onions, self._actions.full)
+            ahead, self._ahead = self._ahead, None
+            if ahead is None or ahead.t != frame.t:
+                ahead = self._look(frame, onions)
+            self._view = view = ahead
             self._fresh = True
-            self.hands.append(self._view.hands)
+            self.hands.append(view.hands)
             self._observe()
-            if self._view.sign is not before and self._view.sign is not Gesture.NONE:
-                self.news.append(f"the person shows thumbs {self._view.sign.value}")
+            if view.sign is not before and view.sign is not Gesture.NONE:
+                self.news.append(f"the person shows thumbs {view.sign.value}")
+
+    def _is_news(self, frame: Frame) -> bool:
+        return frame.camera == "person" and (self._view is None or frame.t > self._view.t)
+
+    def _look(self, frame: Frame, onions: Array) -> PersonView:
+        """A frame, beside the arm as it was at the exposure."""
+        then = min(self._past, key=lambda s: abs(s.t - frame.t))
+        return self._eye.look(frame, self._arm(then), onions, self._actions.full)
 
     def _observe(self) -> None:
         """Feed the belief when the person's action has changed, and as often as events come in the domain."""

@@ -20,10 +20,11 @@ from cell.decision.policy import PolicyTable
 from cell.decision.primitives import Primitives, Skill, SkillError
 from cell.decision.skills import Ended, Skills
 from cell.errors import PlanError
+from cell.frames import Array
 from cell.motion.planner import Planner
 from cell.motion.views import InspectionViews
 from cell.perception.look import Eye, OnionDetector
-from cell.wire.types import Event, Hands, SupervisorState
+from cell.wire.types import Event, Frame, Hands, SupervisorState
 from cell.wire.vocabulary import Action
 
 _MOST_FAILURES = 5
@@ -73,6 +74,11 @@ class Supervisor:
         self._events: list[Event] = []
         self._result: tuple[bool, str] = (False, "")
 
+    def look(self, frames: tuple[Frame, ...]) -> None:
+        """Look at frames ahead of the tick that brings them; `tick` comes to the same without it."""
+        if self._person is not None:
+            self._person.look(frames, self._onions())
+
     def tick(self, inputs: Inputs) -> Outputs:
         """One decision cycle; see `Inputs` and `Outputs`."""
         self._body.inputs = inputs
@@ -107,13 +113,16 @@ class Supervisor:
         if person is None:
             return NOBODY
         held = 0.5 * self._config.onions.diameter[1] if inputs.gripper.holding else 0.0
-        tracks = self._skills.tracker.tracks
-        onions = np.array([[*t.p_WO, t.radius] for t in tracks]).reshape(-1, 4)
-        person.update(inputs, held, onions)
+        person.update(inputs, held, self._onions())
         for text in person.news:
             self._say(_INFO, text)
         person.news.clear()
         return self._permits.update(inputs.t, person.sensed(inputs.t))
+
+    def _onions(self) -> Array:
+        """Onions that are known of (N, 4): centre and radius [m]."""
+        tracks = self._skills.tracker.tracks
+        return np.array([[*t.p_WO, t.radius] for t in tracks]).reshape(-1, 4)
 
     def _reconsider(self) -> None:
         """A changed belief may change the mode at once, in the middle of an action."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 import threading
 from collections import deque
+from collections.abc import Callable
 from typing import Protocol
 
 from cell.clock import Clock, WallClock
@@ -47,11 +48,18 @@ _FIRST_DATA = 20.0
 """How long the first samples may take after connecting [s]."""
 
 
+Look = Callable[[tuple[Frame, ...]], None]
+
+
 class Link(Protocol):
     """One exchange per supervisor tick."""
 
-    def exchange(self, commands: tuple[Command, ...]) -> Inputs:
-        """Send the commands in order, let one cycle pass, and return what is known then."""
+    def exchange(self, commands: tuple[Command, ...], look: Look | None = None) -> Inputs:
+        """Send the commands in order, let one cycle pass, and return what is known then.
+
+        Args:
+            look: shown the frames that the inputs will hold, before the arm's state is read.
+        """
         ...
 
     def stop(self, reason: str) -> None:
@@ -89,7 +97,8 @@ class StepLink:
         self._ticks = config.supervisor.ticks_per_cycle
         self._rest_cycles = round(3.0 / (self._ticks * config.arm.control_period))
 
-    def exchange(self, commands: tuple[Command, ...]) -> Inputs:
+    def exchange(self, commands: tuple[Command, ...], look: Look | None = None) -> Inputs:
+        del look  # time stands still meanwhile
         # A busy machine may take its time; a refusal for that would change the result.
         replies = tuple((c.ticket, send(self._session, c, _STEP_TIMEOUT)) for c in commands)
         return _inputs(self._step(), replies)
@@ -131,17 +140,19 @@ class LiveLink:
         self._next = self._clock.now()
         self._wait_for_data()
 
-    def exchange(self, commands: tuple[Command, ...]) -> Inputs:
+    def exchange(self, commands: tuple[Command, ...], look: Look | None = None) -> Inputs:
         replies = tuple((c.ticket, send(self._session, c)) for c in commands)
         # Absolute schedule; a late cycle starts the next one at once, without catching up.
         self._next = max(self._next + self._period, self._clock.now() - self._period)
         self._clock.sleep_until(self._next)
         self._heart.loop_lives()
-        joints = self._fresh_joints()
-        now, oldest = joints.t, self._config.supervisor.max_state_age
         frames: list[Frame] = []
         for reader in self._frames.values():
             frames += reader.take_all()
+        if look is not None:
+            look(tuple(frames))
+        joints = self._fresh_joints()
+        now, oldest = joints.t, self._config.supervisor.max_state_age
         return Inputs(
             t=joints.t,
             joints=joints,

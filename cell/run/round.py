@@ -204,7 +204,7 @@ def _drive(
                 watch(inputs, outputs)
             if outputs.done:
                 break
-            inputs = link.exchange(outputs.commands)
+            inputs = link.exchange(outputs.commands, supervisor.look)
     except (KeyboardInterrupt, CellError) as error:
         with suppress(CellError):  # the node itself may be gone; then it has stopped the arm
             link.stop("interrupted by the user" if isinstance(error, KeyboardInterrupt) else str(error))
