@@ -8,8 +8,18 @@ that decides may use it.
 
 from __future__ import annotations
 
+import os
 import time
 from typing import Protocol
+
+from cell.errors import ConfigError
+
+RATE_VARIABLE = "CELL_CLOCK_RATE"
+"""Environment variable: seconds of every `WallClock` in a second of the machine, 0.05 to 1; 1 if unset.
+
+An emulated cell that a machine cannot run in real time runs on it in slow motion. Processes that belong
+together need the same value. Never for a real arm, which keeps its own time.
+"""
 
 
 class Clock(Protocol):
@@ -27,23 +37,30 @@ class Clock(Protocol):
 class WallClock:
     """Unix time that never runs backwards (anchored once, advanced monotonically).
 
+    In slow motion (see `RATE_VARIABLE`) it counts from the machine's start on, so that the clocks of
+    all processes agree.
+
     Args:
         offset: of another process's wall clock on this machine; the two then agree.
 
     Attributes:
-        offset: Unix time less the machine's monotonic time [s].
+        offset: Unix time less the machine's monotonic time [s]. rate: seconds in a second of the machine.
+
+    Raises:
+        ConfigError: the environment's rate is none.
     """
 
     def __init__(self, offset: float | None = None) -> None:
         self.offset = time.time() - time.monotonic() if offset is None else offset
+        self.rate = clock_rate()
 
     def now(self) -> float:
-        return time.monotonic() + self.offset
+        return time.monotonic() * self.rate + self.offset
 
     def sleep_until(self, t: float) -> None:
         remaining = t - self.now()
         if remaining > 0.0:
-            time.sleep(remaining)
+            time.sleep(remaining / self.rate)
 
 
 class StepClock:
@@ -70,6 +87,18 @@ class StepClock:
 
     def sleep_until(self, t: float) -> None:
         del t  # simulated time does not pass by waiting
+
+
+def clock_rate() -> float:
+    """Seconds of a wall clock in a second of the machine; raises `ConfigError` for a wrong variable."""
+    text = os.environ.get(RATE_VARIABLE, "1")
+    try:
+        rate = float(text)
+    except ValueError:
+        rate = 0.0
+    if not 0.05 <= rate <= 1.0:
+        raise ConfigError(f"{RATE_VARIABLE} must be a number from 0.05 to 1, got {text!r}")
+    return rate
 
 
 def perf_s() -> float:

@@ -87,6 +87,7 @@ class Ur3eBackend:
     def connect(self) -> None:
         if self._sample is not None:
             return
+        checks.check_clock(self._cameras_from)
         checks.check_reachable(self._robot_ip)
         checks.check_controller(self._robot_ip)
         try:

@@ -7,6 +7,7 @@ import socket
 
 import numpy as np
 
+from cell.clock import RATE_VARIABLE, clock_rate
 from cell.config import CellConfig
 from cell.errors import BackendError, ConfigError
 from cell.limits import Q_MAX
@@ -60,6 +61,12 @@ def port_problem(robot_ip: str, port: int) -> str:
     except OSError as error:
         return error.strerror or str(error)
     return ""
+
+
+def check_clock(cameras: str) -> None:
+    """Raises `ConfigError` when clocks go slowly and it is not certain that the controller is emulated."""
+    if clock_rate() != 1.0 and cameras != "sim":
+        raise ConfigError(f"{RATE_VARIABLE} is for emulated cells (--cameras sim); unset it for a robot")
 
 
 def check_controller(robot_ip: str) -> None:

@@ -103,3 +103,12 @@ def test_the_address_comes_from_the_command_line_or_the_configuration() -> None:
         checks.robot_address(config, "")
     with pytest.raises(ConfigError, match="IPv4 address or a host name"):
         checks.robot_address(config, "127.0.0.1:30004")
+
+
+def test_slow_clocks_are_for_emulated_cells_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CELL_CLOCK_RATE", "0.5")
+    checks.check_clock("sim")
+    with pytest.raises(ConfigError, match="unset it for a robot"):
+        checks.check_clock("real")
+    monkeypatch.delenv("CELL_CLOCK_RATE")
+    checks.check_clock("real")
