@@ -11,6 +11,7 @@ import typer
 from cell.errors import CellError, ConfigError, one_of
 from cell.learn import cli as learning
 from cell.trials import cli as trying
+from cell.view import cli as viewing
 
 BAD_INPUT, FAILED, INTERRUPTED = 2, 1, 130
 BACKENDS = ("sim", "ur3e")
@@ -184,6 +185,7 @@ def replay(
 
 app.add_typer(trying.trials, name="trials")
 app.add_typer(learning.train, name="train")
+app.command()(viewing.view)
 app.command()(learning.evaluate)
 app.command()(learning.report)
 

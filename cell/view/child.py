@@ -1,0 +1,93 @@
+"""Starts the view as a child process of a round; nothing that happens to it touches the round."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+from cell.config import CellConfig, to_dict
+from cell.errors import CellError
+
+_START, _END = 30.0, 3.0
+"""How long it may take to get its port, and to end [s]."""
+
+
+class ViewProcess:
+    """`python -m cell.view` as a context manager.
+
+    Args:
+        port: of the page. tell: told the page's address once it can be opened.
+
+    Raises:
+        CellError: the port is in use, or a package is missing.
+    """
+
+    def __init__(self, config: CellConfig, port: int, tell: Callable[[str], None]) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "cell.view", "--port", str(port)],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            text=True, start_new_session=True,
+        )  # fmt: skip
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.write(json.dumps(to_dict(config)) + "\n")
+            self._process.stdin.flush()
+        self._tell = tell
+        self._waiting = threading.Event()
+        self._errors: list[str] = []
+        self._readers = [threading.Thread(target=f, daemon=True) for f in (self._listen, self._collect)]
+        for reader in self._readers:
+            reader.start()
+        if self._waiting.wait(_START) and self._process.poll() is None and not self._errors_end():
+            return
+        self.close()
+        raise CellError(self._errors[-1] if self._errors else "the view did not start")
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def close(self) -> None:
+        """Close its standard input and wait for its end; kill it if it does not come."""
+        if self._process.stdin is not None:
+            with contextlib.suppress(OSError):
+                self._process.stdin.close()
+        try:
+            self._process.wait(_END)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _errors_end(self) -> bool:
+        return not self._started
+
+    _started = False
+
+    def _listen(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            if line.startswith("http"):
+                self._tell(line.strip())
+            self._started = True
+            self._waiting.set()
+        self._waiting.set()
+
+    def _collect(self) -> None:
+        assert self._process.stderr is not None
+        for line in self._process.stderr:
+            self._errors.append(line.rstrip())
+            del self._errors[:-20]

@@ -1,0 +1,157 @@
+"""The page: its scene, its panel, and how often each part is drawn anew."""
+
+from __future__ import annotations
+
+import socket
+from contextlib import redirect_stdout
+from io import StringIO
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cell.clock import WallClock
+from cell.config import CellConfig
+from cell.errors import WireError
+from cell.view import drawing, words
+from cell.view.controls import Controls
+from cell.view.live import LiveSource
+from cell.view.moment import Moment, Source
+from cell.view.onions import Perceived
+from cell.view.person import PersonFigure
+from cell.view.plots import Plots
+from cell.view.scene import Scene
+from cell.view.tool import tool_speed
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+HOST = "127.0.0.1"
+PORT = 8080
+_STATUS, _PICTURES, _CURVES = 0.25, 0.35, 1.0
+"""Least times between two drawings of words, pictures and person, plots [s]."""
+
+
+def make_server(port: int) -> ViserServer:
+    """A web server on the loopback interface; raises `WireError` when the port is taken."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((HOST, port))
+        except OSError as error:
+            raise WireError(f"the view cannot use port {port}: {error.strerror}; give another one") from None
+    from viser import ViserServer
+
+    with redirect_stdout(StringIO()):  # it prints a banner
+        server = ViserServer(host=HOST, port=port, label="sorting cell", verbose=False)
+    if server.get_port() != port:  # another program was quicker; viser goes to the next free one
+        stop_server(server)
+        raise WireError(f"the view cannot use port {port}: it is in use; give another one")
+    return server
+
+
+def stop_server(server: ViserServer) -> None:
+    """End it without a word."""
+    with redirect_stdout(StringIO()):
+        server.stop()
+
+
+class Due:
+    """Whether it is time again."""
+
+    def __init__(self, every: float) -> None:
+        self._every, self._last = every, -1e9
+
+    def now(self, t: float) -> bool:
+        if 0.0 <= t - self._last < self._every:
+            return False
+        self._last = t
+        return True
+
+
+class Page:
+    """Draws moments.
+
+    Args:
+        source: where the moments come from; a live one can be asked for things.
+    """
+
+    def __init__(self, server: ViserServer, config: CellConfig, source: Source) -> None:
+        self._server, self._config, self._source = server, config, source
+        gui = server.gui
+        gui.configure_theme(
+            control_layout="fixed", control_width="large", show_logo=False, show_share_button=False
+        )
+        gui.set_panel_label("sorting cell")
+        self._status = gui.add_html(words.note("waiting for the cell"))
+        live = source if isinstance(source, LiveSource) else None
+        self._live = live
+        self._controls = None if live is None else Controls(server, config, live)
+        self._picture = gui.add_image(np.full((240, 644, 3), 60, np.uint8), format="jpeg", jpeg_quality=80)
+        self._plots = Plots(server)
+        self._show_truth = None if live is None else gui.add_checkbox("true onions (simulation)", False)
+        with gui.add_folder("Events", expand_by_default=False):
+            self._events = gui.add_html(words.note(""))
+        self._scene = Scene(server, config)
+        self._perceived, self._figure = Perceived(config), PersonFigure(config)
+        self._clock = WallClock()
+        self._due = {"words": Due(_STATUS), "pictures": Due(_PICTURES), "plots": Due(_CURVES)}
+        self._began: float | None = None
+        self._ended: float | None = None
+        self._last_picture: tuple[float, ...] = ()
+
+    def show(self, moment: Moment) -> None:
+        """Draw what is due."""
+        onions = self._perceived.update(moment)  # follows the hand, also while nobody looks
+        self._keep_time(moment)
+        if self._live is not None and self._show_truth is not None:
+            watched = bool(self._server.get_clients())
+            self._live.want_truth = watched and bool(self._show_truth.value)
+        if not self._server.get_clients():
+            return
+        now = self._clock.now()
+        with self._server.atomic():
+            self._scene.show(moment)
+            self._scene.onions(onions)
+            self._scene.truth(moment)
+        if self._due["words"].now(now):
+            self._words(moment)
+        if self._due["pictures"].now(now):
+            self._pictures(moment)
+            figure = self._figure.update(moment, onions)
+            separation = np.inf if moment.state is None else moment.state.separation
+            if figure is not None or not np.isfinite(separation):
+                self._scene.person(figure, separation)
+        if self._due["plots"].now(now):
+            self._plots.show(self._source.curves())
+
+    # -- parts ----------------------------------------------------------------------------------------
+
+    def _words(self, moment: Moment) -> None:
+        speed = 0.0 if moment.joints is None else tool_speed(moment.joints, self._config.gripper.length)
+        self._status.content = words.status(moment, speed, self._elapsed(moment))
+        self._events.content = words.events(moment.events)
+        if self._controls is not None:
+            self._controls.show(moment)
+
+    def _pictures(self, moment: Moment) -> None:
+        seen = [f[1].t for f in (moment.detections, moment.hands) if f is not None]
+        seen += [f.t for f in moment.frames.values()]
+        if tuple(seen) == self._last_picture:
+            return
+        self._last_picture = tuple(seen)
+        picture = drawing.both(moment)
+        if picture is not None:
+            self._picture.image = picture
+
+    def _keep_time(self, moment: Moment) -> None:
+        if moment.state is None:
+            return
+        if self._began is None or moment.state.t < self._began:
+            self._began, self._ended = moment.state.t, None
+        if moment.state.phase == "done" and self._ended is None:
+            self._ended = moment.state.t
+
+    def _elapsed(self, moment: Moment) -> float:
+        if moment.state is None or self._began is None:
+            return 0.0
+        return (moment.state.t if self._ended is None else self._ended) - self._began
