@@ -36,7 +36,7 @@ class Emulated:
     """
 
     def __init__(self, config: CellConfig, seed: int, onions: int, persona: str) -> None:
-        self.address = _free_address()
+        self.address = free_address()
         self._folder = tempfile.TemporaryDirectory()
         file = Path(self._folder.name) / "cell.yaml"
         file.write_text(yaml.safe_dump(to_dict(config)))
@@ -144,7 +144,7 @@ def _shifted(truth: Truth, now: float) -> Truth:
     return replace(truth, t=now, person=person)
 
 
-def _free_address() -> str:
+def free_address() -> str:
     """A loopback address on which nobody serves a controller's dashboard."""
     import random
     import socket
