@@ -8,6 +8,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from cell.calibrate import cli as calibrating
 from cell.errors import CellError, ConfigError, one_of
 from cell.learn import cli as learning
 from cell.trials import cli as trying
@@ -58,6 +59,10 @@ def run(
     record_lossless: Annotated[
         bool, typer.Option("--record-lossless", help="With every pixel of the person camera (large).")
     ] = False,
+    view: Annotated[
+        bool, typer.Option("--view", help="Also a live page in the browser (docs/view.md).")
+    ] = False,
+    view_port: Annotated[int, typer.Option(help="Port of that page on this machine.")] = viewing.PORT,
     config: Annotated[Path | None, typer.Option(help="Cell description laid over the shipped one.")] = None,
 ) -> None:
     """Sort one batch of onions.
@@ -93,7 +98,9 @@ def run(
         check_reachable(robot_address(cell_config, robot_ip))  # before anything slow is started
 
     from cell.run.display import Progress, summary
-    from cell.run.round import REAL_PERSON, RoundOptions, run_round
+    from cell.run.result import RoundResult
+    from cell.run.round import REAL_PERSON, RoundOptions
+    from cell.run.rounds import run_rounds
 
     console = Console(stderr=True)
     options = RoundOptions(
@@ -107,15 +114,21 @@ def run(
         robot_ip=robot_ip,
         cameras=cameras,
     )
+
+    def report(result: RoundResult) -> None:
+        summary(console, result)
+        if json_file is not None:
+            result.write(json_file)
+
+    def show(options: RoundOptions) -> Progress:
+        return Progress(console, options.onions, cell_config.gripper.length)
+
     try:
-        with Progress(console, onions, cell_config.gripper.length) as progress:
-            result = run_round(cell_config, table, options, progress)
+        with viewing.beside(cell_config, view_port, view) as (cell_config, watched):
+            result = run_rounds(cell_config, table, options, show, report, watched)
     except KeyboardInterrupt:  # here, because what the option parser makes of it varies
         print("cell: interrupted; the arm was stopped on its path", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
-    summary(console, result)
-    if json_file is not None:
-        result.write(json_file)
     raise typer.Exit(0 if result.succeeded else FAILED)
 
 
@@ -184,6 +197,7 @@ def replay(
 
 
 app.add_typer(trying.trials, name="trials")
+app.add_typer(calibrating.calibrate, name="calibrate")
 app.add_typer(learning.train, name="train")
 app.command()(viewing.view)
 app.command()(learning.evaluate)

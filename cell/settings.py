@@ -293,6 +293,8 @@ class SupervisorConfig(Section, frozen=True):
     """Least detection score that counts."""
     round_timeout: Positive
     """Longest round [s]."""
+    stop_patience: NotNegative = 0.0
+    """How long a stopped round waits for an operator to resume it [s]; 0: it ends at once."""
 
 
 class Ur3eConfig(Section, frozen=True):

@@ -16,6 +16,7 @@ from cell.wire.types import (
     Hands,
     JointState,
     LightCommand,
+    OperatorCommand,
     Reply,
     Resume,
     SupervisorState,
@@ -46,6 +47,7 @@ class Inputs:
         t: node time [s].
         frames: camera frames that arrived since the last tick.
         replies: (ticket, reply) of commands sent at earlier ticks.
+        operator: what an operator ordered since the last tick.
     """
 
     t: float
@@ -55,6 +57,7 @@ class Inputs:
     belt: BeltState
     frames: tuple[Frame, ...] = ()
     replies: tuple[tuple[int, Reply], ...] = ()
+    operator: tuple[OperatorCommand, ...] = ()
 
 
 @dataclass(frozen=True)

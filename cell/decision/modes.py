@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 from cell.config import CellConfig
+from cell.decision.operator import Operator
 from cell.decision.ssm import allowed_speed
 from cell.settings import MotionConfig
 from cell.wire.vocabulary import Mode, RobotType
@@ -130,19 +131,36 @@ class PermitKeeper:
 
 
 def decide(
-    config: MotionConfig, own_type: RobotType, permit: Permit, stopped: bool, waiting: bool = False
+    config: MotionConfig,
+    own_type: RobotType,
+    permit: Permit,
+    stopped: bool,
+    waiting: bool = False,
+    *,
+    recovering: bool = False,
+    operator: Operator | None = None,
 ) -> ModeState:
-    """The mode that follows from the policy's request, the permit, a latched stop and a wait on the path."""
+    """The mode that follows from the policy's request, the permit, a latched stop and a wait on the path.
+
+    Args:
+        recovering: the arm finds its way back after a stop. operator: may wish for a hold and a cap.
+    """
     requested = own_type is RobotType.INDUSTRIAL
     if stopped:
         return ModeState(Mode.STOPPED, requested, permit.industrial, permit.separation, 0.0, "stop")
-    industrial = requested and permit.industrial
+    industrial = requested and permit.industrial and not recovering
     mode = Mode.INDUSTRIAL if industrial else Mode.COLLABORATIVE
     mode_cap = config.industrial_speed if industrial else config.collaborative_speed
     # At or below the collaborative speed the arm's own force limiting is relied upon.
     separation_cap = max(permit.cap, config.collaborative_speed)
     cap = min(mode_cap, separation_cap)
     binding = mode.name.lower() if mode_cap <= separation_cap else "separation"
+    if operator is not None and operator.cap < cap:
+        cap, binding = operator.cap, "operator"
+    if operator is not None and operator.hold:
+        return ModeState(Mode.HOLD, requested, permit.industrial, permit.separation, cap, "operator")
     if waiting:
         return ModeState(Mode.HOLD, requested, permit.industrial, permit.separation, cap, "person in the way")
+    if recovering:
+        mode = Mode.RECOVERING
     return ModeState(mode, requested, permit.industrial, permit.separation, cap, binding)

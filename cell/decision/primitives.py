@@ -17,7 +17,7 @@ from cell.decision.following import Following, Lead, Obstructed, trajectory
 from cell.decision.io import Command, Inputs, Order
 from cell.frames import Array
 from cell.motion.timing import TimedPath
-from cell.wire.types import Capture, Frame, GripperCommand, LightCommand, Reply, Trajectory
+from cell.wire.types import Capture, Frame, GripperCommand, LightCommand, Reply, Resume, Trajectory
 
 T = TypeVar("T")
 GiveWay = Callable[[], str]
@@ -56,6 +56,7 @@ class Primitives:
     Attributes:
         speed_cap: TCP speed cap in force [m/s]. obstructed: whether a person is in the way.
         waiting: the arm waits on its path for a person.
+        held: an operator wants the arm to wait on its path; whoever sets it makes `obstructed` say so.
     """
 
     def __init__(self, config: CellConfig, holder: str) -> None:
@@ -63,6 +64,7 @@ class Primitives:
         self.holder = holder
         self.speed_cap = config.motion.collaborative_speed
         self.waiting = False
+        self.held = False
         self.obstructed: Obstructed = lambda q: False
         lead = config.supervisor.seam_lead
         self._lead = Lead(lead, lead)
@@ -110,7 +112,11 @@ class Primitives:
         Raises:
             SkillError: "yielded" when it was given up; the arm rests on the path then.
         """
-        began, cap = self.now, self.speed_cap
+        cap = self.speed_cap
+        while self.held:
+            self._checked()
+            yield from self.tick()
+        began = self.now
         order = self._trajectory(path, 0.0)
         yield from self._accepted(order)
         moving = Following(self.config, path, order.id, began, cap, self._lead)
@@ -124,6 +130,8 @@ class Primitives:
                 deadline += (self.now - before) * (1.0 - inputs.arm.speed_scaling)
                 before = self.now
                 self.waiting = moving.waiting
+                if self.held:
+                    moving.since = self.now  # an operator's patience has no end
                 given_way = given_way or give_way()
                 if moving.ended(inputs) or (given_way and moving.waiting):
                     break
@@ -203,8 +211,11 @@ class Primitives:
     def show(self, signal: str) -> None:
         """Put a signal on the mode light, one of `vocabulary.SIGNALS`."""
         expires = self.now + self.config.supervisor.command_lifetime
-        self._tickets += 1
-        self.outbox.append(Command(self._tickets, LightCommand(self.holder, expires, signal)))
+        self._send(LightCommand(self.holder, expires, signal))
+
+    def resume(self) -> int:
+        """Ask the node to lift a latched stop; the ticket of its reply."""
+        return self._send(Resume(self.holder))
 
     def tick(self) -> Skill[None]:
         """Wait for the next tick."""
@@ -219,11 +230,14 @@ class Primitives:
         period = self.config.arm.control_period
         return trajectory(path, self._trajectories, self.holder, start, expires, period)
 
-    def _send_change(self, moving: Following, path: TimedPath, start: float, holds: bool) -> None:
-        order = self._trajectory(path, start)
+    def _send(self, order: Order) -> int:
         self._tickets += 1
         self.outbox.append(Command(self._tickets, order))
-        moving.sent(self._tickets, order.id, path, start, holds)
+        return self._tickets
+
+    def _send_change(self, moving: Following, path: TimedPath, start: float, holds: bool) -> None:
+        order = self._trajectory(path, start)
+        moving.sent(self._send(order), order.id, path, start, holds)
 
     def _checked(self) -> Inputs:
         """The newest inputs; raises when the arm was stopped under the skill."""

@@ -209,6 +209,15 @@ class Skills:
         self.target, self._X_WT_grasp = None, None
         return Ended("done")
 
+    def recover(self) -> Skill[Ended]:
+        """After a stop: open an empty hand and rise from the belt; the next look shows what is left."""
+        held = self.body.holds()
+        if not held:
+            yield from self.body.grip(self._config.gripper.stroke)
+        if self._p_WT()[2] < self._config.belt.top_z + _CLEAR_HEIGHT:
+            yield from self._back_off(held)
+        return Ended("done")
+
     def no_op(self) -> Skill[Ended]:
         """Do nothing for one tick."""
         yield from self.body.tick()
@@ -270,12 +279,12 @@ class Skills:
             return
         yield from self.body.follow(path, give_way)
 
-    def _back_off(self) -> Skill[None]:
+    def _back_off(self, held: bool = False) -> Skill[None]:
         """Straight up to where transfers begin, away from what lies on the belt."""
         X_WT = self._planner.kinematics.X_WT(self.body.q_rest).copy()
         X_WT[2, 3] = max(X_WT[2, 3], self._config.belt.top_z + _CLEAR_HEIGHT)
         try:
-            yield from self._to_pose(X_WT, straight=True)
+            yield from self._to_pose(X_WT, straight=True, held=held)
         except PlanError:
             return  # it stands high enough, or the next motion finds a way
 

@@ -16,9 +16,11 @@ from cell.decision.companion import Companion
 from cell.decision.fsm import Task
 from cell.decision.io import Inputs, Outputs
 from cell.decision.modes import NOBODY, ModeState, Permit, PermitKeeper, decide
+from cell.decision.operator import Operator
 from cell.decision.policy import PolicyTable
 from cell.decision.primitives import Primitives, Skill, SkillError
 from cell.decision.skills import Ended, Skills
+from cell.decision.stopped import StoppedRound
 from cell.errors import PlanError
 from cell.frames import Array
 from cell.motion.planner import Planner
@@ -64,8 +66,10 @@ class Supervisor:
         self._asked_bin = -1
         self._yields = 0
         self._signal = ""
-        if person is not None:
-            self._body.obstructed = lambda q: person.in_the_way(q, self._body.waiting)
+        self._body.obstructed = self._in_the_way
+        self._operator = Operator()
+        self._stop = StoppedRound(config.supervisor.stop_patience)
+        self._recovering = False
         self._running: Skill[Ended] | None = None
         self._action = Action.NO_OP
         self._failures = 0
@@ -83,6 +87,9 @@ class Supervisor:
         """One decision cycle; see `Inputs` and `Outputs`."""
         self._body.inputs = inputs
         self._started = inputs.t if self._started is None else self._started
+        self._operator.update(inputs.operator, inputs.arm.stopped)
+        self._body.held = self._operator.hold
+        self._tell(_INFO, self._operator.news)
         permit = self._watch_person(inputs)
         if not self._result[0]:
             self._reconsider()
@@ -114,9 +121,7 @@ class Supervisor:
             return NOBODY
         held = 0.5 * self._config.onions.diameter[1] if inputs.gripper.holding else 0.0
         person.update(inputs, held, self._onions())
-        for text in person.news:
-            self._say(_INFO, text)
-        person.news.clear()
+        self._tell(_INFO, person.news)
         return self._permits.update(inputs.t, person.sensed(inputs.t))
 
     def _onions(self) -> Array:
@@ -137,7 +142,15 @@ class Supervisor:
 
     def _mode(self, permit: Permit, inputs: Inputs) -> ModeState:
         stopped, waiting = inputs.arm.stopped, self._body.waiting
-        return decide(self._config.motion, self._task.own_type, permit, stopped, waiting)
+        return decide(
+            self._config.motion, self._task.own_type, permit, stopped, waiting,
+            recovering=self._recovering, operator=self._operator,
+        )  # fmt: skip
+
+    def _in_the_way(self, q: Array) -> bool:
+        """Whether the arm is to wait before it moves through configurations (N, 6) [rad]."""
+        person = self._person
+        return self._operator.hold or (person is not None and person.in_the_way(q, self._body.waiting))
 
     def _show(self, mode: ModeState) -> None:
         """Put the mode on the light when it changes."""
@@ -155,13 +168,22 @@ class Supervisor:
 
     def _work(self, inputs: Inputs) -> None:
         if inputs.arm.stopped:
-            self._finish(f"the arm was stopped: {inputs.arm.stop_reason}")
+            self._while_stopped(inputs)
+            return
+        if self._stop.over():
+            self._recovering, self._running = True, self._skills.recover()
+            if (ended := self._guard(next)) is not None:
+                self._recovered(ended)
             return
         assert self._started is not None
         if inputs.t - self._started > self._config.supervisor.round_timeout:
             self._finish(f"the round took longer than {self._config.supervisor.round_timeout:g} s")
             return
         ended = self._advance(inputs)
+        if self._recovering:
+            if ended is not None:
+                self._recovered(ended)
+            return
         # Actions that need no time (mode changes) follow one another within the same tick.
         for _ in range(4):
             if ended is not None and not self._conclude(ended):
@@ -171,6 +193,22 @@ class Supervisor:
             ended = self._begin()
         if ended is not None:
             self._conclude(ended)
+
+    def _while_stopped(self, inputs: Inputs) -> None:
+        """Nothing runs until an operator lifts the stop; without one the round ends."""
+        if not self._stop.wait(inputs, self._operator, self._body):
+            self._finish(f"the arm was stopped: {inputs.arm.stop_reason}")
+            return
+        self._tell(_WARN, self._stop.news)
+        if self._running is not None or self._recovering:
+            self._running, self._recovering = None, False
+            self._task.apply(self._action, Ended("stopped"))
+            self._skills.target = None
+
+    def _recovered(self, ended: Ended) -> None:
+        self._recovering, self._action = False, Action.NO_OP
+        if not ended.done:
+            self._finish(f"no way on after the stop: {ended.code}: {ended.reason}")
 
     def _advance(self, inputs: Inputs) -> Ended | None:
         """Let the running skill see the inputs; its end, if it ended."""
@@ -239,6 +277,11 @@ class Supervisor:
             self._say(_ERROR, failure)
 
     # -- what watchers see ------------------------------------------------------------------------
+
+    def _tell(self, level: int, news: list[str]) -> None:
+        for text in news:
+            self._say(level, text)
+        news.clear()
 
     def _say(self, level: int, text: str) -> None:
         self._events.append(Event(self._body.now, level, "supervisor", text))

@@ -15,14 +15,14 @@ from cell.wire.keys import Keys
 from cell.wire.service import Tapped
 from cell.wire.types import GripperState, Image, JointState
 
-INPUTS, OUTPUTS = "/replay/inputs", "/replay/outputs"
-"""Topics of the decisions."""
+INPUTS, OUTPUTS, OPERATOR = "/replay/inputs", "/replay/outputs", "/replay/operator"
+"""Topics of the decisions; an operator's orders come before the inputs that they belong to."""
 ABOUT = "cell"
 """Name of the metadata record that says what the recording is of."""
 CONFIG_FILE, POLICY_FILE = "config.json", "policy.csv"
 """Files attached to a recording that a replay needs."""
-FORMAT = "1"
-"""Version of what the replay needs."""
+FORMAT, READABLE = "2", ("1", "2")
+"""Version of what the replay needs, and those that it can read: 1 knew no operator."""
 EYES = "eyes"
 """Companion that a replay can make again: it sees what the person camera sees."""
 _TF_EVERY = 4
@@ -99,6 +99,9 @@ class Content:
 
     def decision(self, d: Decision) -> None:
         """One tick of the supervisor; raises CellError when it cannot be written down."""
+        if d.inputs.operator:
+            orders = tick.encode_operator(d.number, d.inputs)
+            self._file.add(OPERATOR, tick.OPERATOR, d.inputs.t, d.number, orders)
         data = tick.encode_inputs(d.number, d.inputs, d.searches, self._whole)
         self._file.add(INPUTS, tick.INPUTS, d.inputs.t, d.number, data)
         self._file.add(OUTPUTS, tick.OUTPUTS, d.inputs.t, d.number, tick.encode_outputs(d.number, d.outputs))

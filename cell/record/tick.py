@@ -28,6 +28,7 @@ from cell.wire.types import (
     GripperCommand,
     GripperState,
     LightCommand,
+    OperatorCommand,
     Reply,
     Resume,
     SupervisorState,
@@ -36,6 +37,7 @@ from cell.wire.types import (
 from cell.wire.typestore import make
 
 INPUTS, OUTPUTS = "cell_msgs/msg/TickInputs", "cell_msgs/msg/TickOutputs"
+OPERATOR = "cell_msgs/msg/TickOperator"
 _LIMIT = SMALL + 2 * FRAME_LIMIT
 _MOST = 1000
 """Most commands, replies, events, ... of one tick."""
@@ -44,6 +46,7 @@ _ORDERS: dict[str, type[Any]] = {
 }
 _JOINTS, _ARM, _GRIPPER = JointStateLayout(), FlatLayout(ArmStatus), FlatLayout(GripperState)
 _BELT, _REPLY, _STATE = FlatLayout(BeltState), FlatLayout(Reply), FlatLayout(SupervisorState)
+_ORDER = FlatLayout(OperatorCommand)
 _DETECTIONS, _EVENT, _HANDS = DetectionsLayout(), EventLayout(), HandsLayout()
 
 
@@ -56,7 +59,7 @@ class Search:
 
 
 def encode_inputs(tick: int, inputs: Inputs, searches: tuple[Search, ...], whole: frozenset[str]) -> bytes:
-    """Inputs of a tick -> CDR.
+    """Inputs of a tick -> CDR, without the operator's orders.
 
     Args:
         tick: counted from 0. searches: made during the tick.
@@ -100,6 +103,18 @@ def decode_inputs(data: bytes) -> tuple[int, Inputs, tuple[Search, ...]]:
         ),
     )
     return ros.tick, inputs, tuple(_read_search(search) for search in ros.searches)
+
+
+def encode_operator(tick: int, inputs: Inputs) -> bytes:
+    """The operator's orders among the inputs of a tick -> CDR."""
+    return _write(OPERATOR, make(OPERATOR)(tick, [_ORDER.to_ros(order) for order in inputs.operator]))
+
+
+def decode_operator(data: bytes) -> tuple[int, tuple[OperatorCommand, ...]]:
+    """The inverse of `encode_operator`. Raises DecodeError."""
+    ros = _read(OPERATOR, data)
+    _few(ros.orders, "orders")
+    return ros.tick, tuple(_ORDER.from_ros(order) for order in ros.orders)
 
 
 def encode_outputs(tick: int, outputs: Outputs) -> bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mcap.records import Attachment, Metadata
@@ -14,8 +14,9 @@ from cell.decision.io import Inputs
 from cell.decision.policy import PolicyTable, parse
 from cell.errors import CellError, DecodeError
 from cell.record import tick
-from cell.record.content import ABOUT, CONFIG_FILE, EYES, FORMAT, INPUTS, OUTPUTS, POLICY_FILE
+from cell.record.content import ABOUT, CONFIG_FILE, EYES, INPUTS, OPERATOR, OUTPUTS, POLICY_FILE, READABLE
 from cell.record.mcap_reader import Recording
+from cell.wire.types import OperatorCommand
 
 _LARGEST = 8 * 1024 * 1024
 _RECORD = "record a round with `cell run --record FILE`"
@@ -71,11 +72,15 @@ class Recorded:
     def ticks(self) -> Iterator[Tick]:
         """The decisions in order; raises DecodeError where one is missing or garbled."""
         expected, waiting = 0, None
-        for item in self._recording.items(frozenset({INPUTS, OUTPUTS})):
+        ordered: dict[int, tuple[OperatorCommand, ...]] = {}
+        for item in self._recording.items(frozenset({INPUTS, OUTPUTS, OPERATOR})):
             if isinstance(item, Metadata | Attachment):
                 continue
-            if item.topic == INPUTS:
-                waiting = tick.decode_inputs(item.payload)
+            if item.topic == OPERATOR:
+                ordered = dict([tick.decode_operator(item.payload)])
+            elif item.topic == INPUTS:
+                number, inputs, searches = tick.decode_inputs(item.payload)
+                waiting = number, replace(inputs, operator=ordered.pop(number, ())), searches
                 if waiting[0] != expected:
                     raise DecodeError(
                         f"{self.path}: tick {expected} was not recorded, so nothing after it can be replayed"
@@ -96,9 +101,10 @@ class Recorded:
                 break
         if not facts or len(files) < 2:
             raise DecodeError(f"{self.path} holds no decisions to replay; {_RECORD}")
-        if facts.get("format") != FORMAT:
+        if facts.get("format") not in READABLE:
             raise DecodeError(
-                f"{self.path}: replay format {facts.get('format', '')[:20]!r}; this version reads {FORMAT!r}"
+                f"{self.path}: replay format {facts.get('format', '')[:20]!r}; "
+                f"this version reads {' and '.join(READABLE)}"
             )
         if facts.get("companion") not in (EYES, "none"):
             raise DecodeError(

@@ -6,7 +6,7 @@ import itertools
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
@@ -28,6 +28,7 @@ from cell.perception.detector import Detector
 from cell.perception.person import PersonEye
 from cell.record.hand_tap import HandTap
 from cell.record.recorder import Recorder
+from cell.run.desk import Desk
 from cell.run.link import Link, LiveLink, StepLink
 from cell.run.measure import Meter
 from cell.run.node_process import NodeProcess
@@ -48,6 +49,7 @@ Watcher = Callable[[Inputs, Outputs], None]
 """Called after every tick; must be quick and must not raise."""
 Judge = Callable[[Inputs, Outputs, Truth], None]
 """Called after every tick with the simulation's truth at that moment; for measuring only."""
+After = Callable[[RoundResult, Link], None]
 MakeCompanion = Callable[[CellConfig, Planner], Companion]
 """Makes what watches the person, in the place of the person camera and the configured belief."""
 
@@ -89,11 +91,15 @@ def run_round(
     judge_tick: Judge | None = None,
     make_companion: MakeCompanion | None = None,
     judge_every: int = 1,
+    desk: Desk | None = None,
+    after: After | None = None,
 ) -> RoundResult:
     """Start a node, sort one batch, judge it, and end everything that was started.
 
     Args:
         judge_every: ticks from one call of `judge_tick` to the next.
+        desk: where an operator's orders arrive; made if None.
+        after: called with the result while the node still serves.
 
     Raises:
         CellError: nothing could be run (bad configuration, port in use, missing weights, ...).
@@ -148,7 +154,12 @@ def run_round(
         with _interruptible():
             if judge_tick is not None:
                 watch = _with_truth(session, judge_tick, watch, judge_every)
-            return _drive(config, supervisor, link, session, meter, options, policy, watch)
+            desk = desk or Desk(config)
+            desk.open(session)
+            result = _drive(config, supervisor, link, session, meter, options, policy, watch, desk)
+            if after is not None:
+                after(result, link)
+            return result
 
 
 def _with_truth(session: Session, judge_tick: Judge, watch: Watcher | None, every: int) -> Watcher:
@@ -190,6 +201,7 @@ def _drive(
     options: RoundOptions,
     policy: PolicyTable,
     watch: Watcher | None,
+    desk: Desk,
 ) -> RoundResult:
     """The loop itself; stops the arm on its path whatever ends it early."""
     began, length = perf_s(), config.gripper.length
@@ -205,6 +217,8 @@ def _drive(
             if outputs.done:
                 break
             inputs = link.exchange(outputs.commands, supervisor.look)
+            if orders := desk.take():
+                inputs = replace(inputs, operator=orders)
     except (KeyboardInterrupt, CellError) as error:
         with suppress(CellError):  # the node itself may be gone; then it has stopped the arm
             link.stop("interrupted by the user" if isinstance(error, KeyboardInterrupt) else str(error))

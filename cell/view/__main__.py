@@ -1,7 +1,8 @@
 """`python -m cell.view`: the view that `cell run --view` starts beside itself.
 
 It reads the configuration as one line of JSON from standard input, prints the page's address when it
-can be opened, and ends when standard input closes. A page that is slow, or dies, is nobody's concern.
+can be opened and then how many browsers show it, and ends when standard input closes. A page that is
+slow, or dies, is nobody's concern.
 """
 
 from __future__ import annotations
@@ -12,9 +13,11 @@ import os
 import signal
 import sys
 import threading
+from contextlib import suppress
 
 from cell.config import from_dict
 from cell.errors import CellError, ConfigError, WireError
+from cell.view.child import WAITING, WATCHED
 from cell.view.live import LiveSource
 from cell.view.serve import serve
 
@@ -45,7 +48,7 @@ def main() -> int:
         threading.Thread(target=watch_parent, name="parent", daemon=True).start()
 
         def source() -> LiveSource:
-            print("waiting", flush=True)
+            print(WAITING, flush=True)
             while True:
                 try:
                     return LiveSource(config, _TRY)
@@ -53,7 +56,11 @@ def main() -> int:
                     if ended.is_set():
                         raise
 
-        serve(config, args.port, source, lambda address: print(address, flush=True), ended.is_set)
+        def count(browsers: int) -> None:
+            with suppress(OSError):  # whoever reads it may be gone
+                print(f"{WATCHED}{browsers}", flush=True)
+
+        serve(config, args.port, source, lambda address: print(address, flush=True), ended.is_set, count)
     except CellError as error:
         if not ended.is_set():
             print(" ".join(str(error).split()), file=sys.stderr)

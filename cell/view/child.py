@@ -14,7 +14,9 @@ from typing import Self
 from cell.config import CellConfig, to_dict
 from cell.errors import CellError
 
-_START, _END = 30.0, 3.0
+WAITING, WATCHED = "waiting", "watched "
+"""What the view prints: the port is its own and it looks for the cell; how many browsers are open."""
+_START, _END = 60.0, 3.0
 """How long it may take to get its port, and to end [s]."""
 
 
@@ -31,27 +33,36 @@ class ViewProcess:
     def __init__(self, config: CellConfig, port: int, tell: Callable[[str], None]) -> None:
         self._process = subprocess.Popen(
             [sys.executable, "-m", "cell.view", "--port", str(port)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            text=True, start_new_session=True,
-        )  # fmt: skip
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
         assert self._process.stdin is not None
         with contextlib.suppress(BrokenPipeError):
             self._process.stdin.write(json.dumps(to_dict(config)) + "\n")
             self._process.stdin.flush()
         self._tell = tell
-        self._waiting = threading.Event()
+        self._serves, self._browsers = False, 0
+        self._told = threading.Event()
         self._errors: list[str] = []
         self._readers = [threading.Thread(target=f, daemon=True) for f in (self._listen, self._collect)]
         for reader in self._readers:
             reader.start()
-        if self._waiting.wait(_START) and self._process.poll() is None and not self._errors_end():
-            return
-        self.close()
-        raise CellError(self._errors[-1] if self._errors else "the view did not start")
+        self._told.wait(_START)
+        if not self._serves:
+            self.close()
+            self._readers[1].join(1.0)
+            raise CellError(self._errors[-1] if self._errors else "the view did not start")
 
     @property
     def pid(self) -> int:
         return self._process.pid
+
+    def watched(self) -> bool:
+        """A browser shows the page."""
+        return self._browsers > 0 and self._process.poll() is None
 
     def close(self) -> None:
         """Close its standard input and wait for its end; kill it if it does not come."""
@@ -72,22 +83,20 @@ class ViewProcess:
     ) -> None:
         self.close()
 
-    def _errors_end(self) -> bool:
-        return not self._started
-
-    _started = False
-
     def _listen(self) -> None:
         assert self._process.stdout is not None
         for line in self._process.stdout:
-            if line.startswith("http"):
+            if line.startswith(WATCHED):
+                self._browsers = int(line.removeprefix(WATCHED))
+            elif line.startswith("http"):
                 self._tell(line.strip())
-            self._started = True
-            self._waiting.set()
-        self._waiting.set()
+            self._serves = True
+            self._told.set()
+        self._told.set()
 
     def _collect(self) -> None:
         assert self._process.stderr is not None
         for line in self._process.stderr:
-            self._errors.append(line.rstrip())
-            del self._errors[:-20]
+            if line.strip():
+                self._errors.append(line.rstrip())
+                del self._errors[:-20]

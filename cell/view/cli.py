@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cell.errors import ConfigError
 
-_PORT = 8080
+if TYPE_CHECKING:
+    from cell.config import CellConfig
+
+PORT = 8080
 _CONNECT = 5.0
 """How long to look for the cell [s]."""
+_PATIENCE = 600.0
+"""A stopped round that is watched waits so long for somebody to resume it [s]."""
+Watched = Callable[[], bool] | None
+"""Whether anybody looks at the page now; None: there is no page."""
 
 
 def view(
     file: Annotated[
         Path | None, typer.Argument(help="A recording to show instead of a running cell.")
     ] = None,
-    port: Annotated[int, typer.Option(help="Port of the page on this machine.")] = _PORT,
+    port: Annotated[int, typer.Option(help="Port of the page on this machine.")] = PORT,
     config: Annotated[Path | None, typer.Option(help="Cell description laid over the shipped one.")] = None,
 ) -> None:
     """Show a running cell, or a recording, in the browser (docs/view.md); Ctrl-C ends it."""
@@ -42,8 +52,28 @@ def view(
         raise typer.Exit(0) from None
 
 
+@contextmanager
+def beside(config: CellConfig, port: int, wanted: bool) -> Iterator[tuple[CellConfig, Watched]]:
+    """The view as a process beside a round, if it is wanted: the round's configuration, and who looks on.
+
+    Where somebody can look on, a stopped round waits to be resumed.
+    """
+    if not wanted:
+        yield config, None
+        return
+    check_port(port)
+    from msgspec.structs import replace
+
+    from cell.view.child import ViewProcess
+
+    patience = config.supervisor.stop_patience or _PATIENCE
+    config = replace(config, supervisor=replace(config.supervisor, stop_patience=patience))
+    with ViewProcess(config, port, _tell) as process:
+        yield config, process.watched
+
+
 def _tell(address: str) -> None:
-    print(f"cell: the view is at {address}", flush=True)
+    print(f"cell: the view is at {address}", file=sys.stderr, flush=True)
 
 
 def check_port(port: int) -> None:

@@ -19,12 +19,14 @@ def serve(
     make_source: Callable[[], Source],
     ready: Callable[[str], None],
     ended: Callable[[], bool],
+    count: Callable[[int], None] | None = None,
 ) -> None:
     """Open the page and draw until `ended()`.
 
     Args:
         port: of the web server. make_source: called once the port is ours.
         ready: told the page's address when it can be opened.
+        count: told how many browsers show the page, whenever that changes.
 
     Raises:
         CellError: the port is taken, or there is no source.
@@ -36,9 +38,12 @@ def serve(
         try:
             page = Page(server, config, source)
             ready(f"http://{HOST}:{port}")
-            due = clock.now()
+            due, browsers = clock.now(), 0
             while not ended():
                 page.show(source.moment())
+                if count is not None and len(server.get_clients()) != browsers:
+                    browsers = len(server.get_clients())
+                    count(browsers)
                 due = max(due + _PERIOD, clock.now() + 0.2 * _PERIOD)  # what was late is left out
                 clock.sleep_until(due)
         finally:

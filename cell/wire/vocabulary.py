@@ -60,6 +60,9 @@ SIGNALS = ("off", "collaborative", "requested", "industrial", "hold", "stopped")
 ORDERS = ("hold", "go", "cap", "resume")
 """What an operator may order: wait on the path, go on, a speed cap, lift a stop."""
 
+LEAST_CAP = 0.05
+"""An operator's speed cap is at least this [m/s]."""
+
 
 class Mode(IntEnum):
     """The supervisor's mode (state machine of the speed supervision)."""
