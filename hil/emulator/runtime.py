@@ -53,7 +53,10 @@ class Runtime:
         return self.state in (RuntimeState.PAUSING, RuntimeState.PAUSED)
 
     def load(self, program: Program) -> None:
-        """Take the place of whatever runs, once the arm is at rest."""
+        """Take the place of whatever runs, once the arm is at rest; a secondary program runs beside it."""
+        if getattr(program, "secondary", False):
+            self._beside(program)
+            return
         self.stop()
         self._next, self._start_at = program, self._robot.now + self._start_delay
 
@@ -116,6 +119,16 @@ class Runtime:
                 _log.exception("program %s failed", program.name)
             self._robot.message(f"Runtime exception in {program.name}: {error}", 0)
             self.stop()
+
+    def _beside(self, program: Program) -> None:
+        """A secondary program takes no time: it is over at once, and what else runs goes on."""
+        try:
+            program.start(self._robot)
+            if program.tick(self._robot):
+                self._robot.message(f"Secondary program {program.name} ended: it may take no time", 1)
+                self._guarded(program)
+        except CellError as error:
+            self._robot.message(f"Runtime exception in {program.name}: {error}", 0)
 
     def _guarded(self, program: Program) -> None:
         try:

@@ -21,9 +21,11 @@ LATEST = 10.0
 @contextmanager
 def running(**more: Any) -> Iterator[Emulator]:
     """On, with its brakes released."""
-    options: dict[str, Any] = {"durations": QUICK, "power_up": True, "ports": FREE_PORTS} | more
+    options: dict[str, Any] = {
+        "durations": QUICK, "power_up": True, "ports": FREE_PORTS, "recognise": recognise, **more
+    }  # fmt: skip
     plant = IdealPlant()
-    emulator = Emulator("127.0.0.1", UR3E, plant, mover=IdealMover(), recognise=recognise, **options)
+    emulator = Emulator("127.0.0.1", UR3E, plant, mover=IdealMover(), **options)
     emulator.start()
     try:
         if options["power_up"]:

@@ -12,11 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cell.errors import DecodeError
+from hil.emulator import programs
 from hil.emulator.emulator import Emulator
-from hil.emulator.interfaces import RobotMode, RuntimeState
+from hil.emulator.interfaces import Program, RobotMode, RuntimeState
 from hil.emulator.models import UR3E
 from hil.emulator.servers.scripts import split_script
-from tests.emulator.ideal import HOME, SWEEP
+from tests.emulator.ideal import HOME, SWEEP, recognise
 from tests.emulator.rig import LATEST, running, take, until
 
 _STATE, _MESSAGE = 16, 20
@@ -123,6 +124,23 @@ def test_script_text_is_run_from_all_three(emulator: Emulator, port: str) -> Non
         until(emulator, lambda c: c.runtime_state is RuntimeState.PLAYING)
         sock.sendall(b"stop program\n")
         until(emulator, lambda c: c.runtime_state is RuntimeState.STOPPED)
+
+
+def test_a_secondary_program_runs_beside_another() -> None:
+    def either(text: str, peer: str) -> Program:
+        return (recognise if text == SWEEP else programs.recognise)(text, peer)
+
+    with running(recognise=either) as emulator, connect(emulator.ports.primary) as sock:
+        sock.sendall(SWEEP.encode())
+        until(emulator, lambda c: c.runtime_state is RuntimeState.PLAYING)
+        with connect(emulator.ports.secondary) as other:
+            other.sendall(b"sec light():\n set_digital_out(5, True)\n set_digital_out(6, True)\nend\n")
+            until(emulator, lambda c: c.io.digital_out >> 5 & 3 == 3)
+        assert emulator.do(lambda c: c.runtime_state) is RuntimeState.PLAYING
+        sock.sendall(b"stop program\n")
+        until(emulator, lambda c: c.runtime_state is RuntimeState.STOPPED)
+        sock.sendall(b"sec dark():\n set_digital_out(5, False)\n set_digital_out(6, False)\nend\n")
+        until(emulator, lambda c: c.io.digital_out >> 5 & 3 == 0)
 
 
 def test_power_from_the_script_port(emulator: Emulator) -> None:

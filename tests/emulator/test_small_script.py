@@ -102,6 +102,12 @@ def test_a_secondary_program_is_told_apart() -> None:
     assert not recognise("zero_ftsensor()", "").secondary  # type: ignore[attr-defined]
 
 
+@pytest.mark.parametrize("line", ["movej([0,0,0,0,0,0])", "sleep(1)", "speedj([0,0,0,0,0,0], 1, 1)"])
+def test_a_secondary_program_may_not_move_or_wait(line: str) -> None:
+    with pytest.raises(BackendError, match="the secondary program 'tare' may not call"):
+        recognise(f"sec tare():\n set_digital_out(1, True)\n {line}\nend", "")
+
+
 def test_protective_stop() -> None:
     r = run(program("protective_stop()", "set_digital_out(0, True)"))
     assert r.stops and r.io.digital_out == 0

@@ -71,7 +71,5 @@ def take_script(text: str, peer: str, controller: Controller) -> None:
         refusal = controller.unlock_protective_stop()
         if refusal:
             controller.message(refusal, 2)
-    elif words[:1] == ["sec"]:
-        controller.message("Program refused: secondary programs are not supported", 1)
     else:
         controller.upload(text, peer)

@@ -22,6 +22,11 @@ _ASSIGNMENT = re.compile(r"^(?:global\s+|local\s+)?([A-Za-z_]\w*)\s*=(?!=)\s*(.+
 _CONTROL = ("if", "elif", "else", "while", "for", "thread", "def", "return", "run", "kill", "join", "switch")
 _CRITICAL = ("enter_critical", "exit_critical")
 _MAX_STATEMENTS = 20_000
+_NOT_BESIDE = (
+    "sleep", "sync", "servoj", "speedj", "speedl", "stopj", "stopl", "force_mode", "end_force_mode",
+    "freedrive_mode", "end_freedrive_mode", "teach_mode", "end_teach_mode", *MOVES,
+)  # fmt: skip
+"""What a secondary program may not do: it moves nothing and takes no time."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +140,9 @@ def read(text: str) -> ShortProgram:
     for line in _joined(lines):
         if line not in _CRITICAL and line != "end":
             body.append(statement(line))
+    for each in body if secondary else ():
+        if isinstance(each.node, ast.Call) and name_of(each.node) in _NOT_BESIDE:
+            raise BackendError(f"the secondary program {name!r} may not call {name_of(each.node)}()")
     return ShortProgram(name, body, secondary)
 
 
