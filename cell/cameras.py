@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cell.frames import Array, Pinhole, from_quaternion, look_at, pose, rotation
-from cell.settings import CameraConfig
+from cell.frames import Array, Pinhole, from_quaternion, look_at, pose, rot_x, rot_z, rotation
+from cell.settings import BoardConfig, CameraConfig
 
 
 def camera_pose(camera: CameraConfig) -> Array:
@@ -39,3 +39,19 @@ def true_pinhole(camera: CameraConfig) -> Pinhole:
     p = Pinhole.from_hfov(camera.width, camera.height, camera.hfov)
     (kx, ky), (dx, dy) = camera.simulated.focal, camera.simulated.centre
     return Pinhole(p.width, p.height, kx * p.fx, ky * p.fy, p.cx + dx, p.cy + dy)
+
+
+def board_pose(board: BoardConfig) -> Array:
+    """X_TB of the calibration board as it is meant to be held, shape (4, 4).
+
+    B lies in the middle of the pattern, x along its rows, y down its columns, z into the board.
+    """
+    return pose(rot_z(np.pi / 2) @ rot_x(-np.pi / 2), (0.0, 0.0, board.height))
+
+
+def board_size(board: BoardConfig) -> tuple[float, float]:
+    """Width and height of the board's plate [m]."""
+    return (
+        (board.columns + 2 * board.margin) * board.square,
+        (board.rows + 2 * board.margin) * board.square,
+    )

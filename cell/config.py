@@ -75,9 +75,9 @@ def load(path: Path | str | None = None) -> CellConfig:
         ConfigError: the file is missing, not YAML, or has unknown, ill-typed or impossible
             values; the message names the key.
     """
-    data = _read_yaml(reference_cell())
+    data = read_yaml(reference_cell())
     if path is not None:
-        data = _overlay(data, _read_yaml(Path(path)), where="", source=Path(path))
+        data = _overlay(data, read_yaml(Path(path)), where="", source=Path(path))
     config = from_dict(data, source=path or reference_cell())
     _check(config)
     return config
@@ -120,7 +120,8 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def _read_yaml(path: Path) -> dict[str, Any]:
+def read_yaml(path: Path) -> dict[str, Any]:
+    """What a file says, not checked yet; raises `ConfigError` when it is no YAML mapping."""
     try:
         data = yaml.load(path.read_text(), _Loader)
     except OSError as error:

@@ -39,6 +39,10 @@ class PerceptionError(CellError):
     """Model weights or images are missing or unusable."""
 
 
+class CalibrationError(CellError):
+    """A set of views says too little, or contradicts itself; the message says which and how."""
+
+
 class BackendError(CellError):
     """A backend cannot do what was asked, or its device failed."""
 

@@ -37,9 +37,9 @@ _PRODUCE, _ROLLED = "onions", 0.05
 
 _BOLTED = ("base", "shoulder")
 """What never meets furniture; it turns on the spot. These come first among the spheres."""
-_TOOL = ("hand", "finger", "onion")
+_TOOL = ("hand", "finger", "onion", "board")
 _SELF = (
-    (("base", "shoulder", "upper arm"), ("wrist", "hand", "finger", "onion"), "tool and upper arm or base"),
+    (("base", "shoulder", "upper arm"), ("wrist", *_TOOL), "tool and upper arm or base"),
     (("elbow", "forearm"), _TOOL, "tool and forearm"),
 )
 """Parts of the arm that can meet each other, and what to call such a pair."""
@@ -74,9 +74,15 @@ _ARM = (
 
 
 class CollisionModel:
-    """Clearances of the arm in one cell."""
+    """Clearances of the arm in one cell.
 
-    def __init__(self, config: CellConfig) -> None:
+    Args:
+        carried: spheres (S, 4) (centre, radius) [m] in the TCP frame, of something rigid in the gripper.
+    """
+
+    def __init__(self, config: CellConfig, carried: Array | None = None) -> None:
+        rows = [] if carried is None else carried.tolist()
+        self._carried = tuple((x, y, z, r) for x, y, z, r in rows)
         self._length = config.gripper.length
         self._stroke = config.gripper.stroke
         self._credit = config.motion.clearance - TOUCH
@@ -158,7 +164,7 @@ class CollisionModel:
         self, q: Array, *, width: float | None = None, held_radius: float = 0.0
     ) -> tuple[Array, Array, tuple[str, ...]]:
         """Sphere centres (N, S, 3) [m], radii (S,) [m] and part names for configurations (N, 6)."""
-        body = _body(self._length, self._stroke if width is None else width, held_radius)
+        body = _body(self._length, self._stroke if width is None else width, held_radius, self._carried)
         X = link_frames(q)
         X = np.concatenate([np.tile(np.eye(4), (len(X), 1, 1, 1)), X], axis=1)[:, body.frames]
         centres: Array = (X[..., :3, :3] @ body.local[:, :, None])[..., 0] + X[..., :3, 3]
@@ -212,7 +218,12 @@ class _Body:
 
 
 @lru_cache(maxsize=64)
-def _body(gripper_length: float, width: float, held_radius: float) -> _Body:
+def _body(
+    gripper_length: float,
+    width: float,
+    held_radius: float,
+    carried: tuple[tuple[float, float, float, float], ...] = (),
+) -> _Body:
     out, tip = width / 2 + _FINGER_OUT, _FINGER_TIP - 1.05 * _FINGER_RADIUS
     capsules = [
         *_ARM,
@@ -220,6 +231,7 @@ def _body(gripper_length: float, width: float, held_radius: float) -> _Body:
     ]
     if held_radius > 0.0:
         capsules.append(_Capsule("onion", 7, (0, 0, 0), (0, 0, 0), held_radius, 1))
+    capsules += [_Capsule("board", 7, (x, y, z), (x, y, z), r, 1) for x, y, z, r in carried]
     centres: list[Array] = []
     radii: list[float] = []
     frames: list[int] = []

@@ -44,12 +44,13 @@ class Planner:
 
     Args:
         config: the cell. thorough: look for a way through the roadmap where no simple route is free.
+        carried: what the gripper holds all the time; see `CollisionModel`.
     """
 
-    def __init__(self, config: CellConfig, *, thorough: bool = True) -> None:
+    def __init__(self, config: CellConfig, *, thorough: bool = True, carried: Array | None = None) -> None:
         self.config = config
         self.kinematics = Kinematics(config)
-        self.collision = CollisionModel(config)
+        self.collision = CollisionModel(config, carried)
         self._routes = Routes(config, self.kinematics)
         self._roadmap = Roadmap(config, self.kinematics, self.collision) if thorough else None
 

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.frames import Array, pose, rot_x, rot_z, rotation
+from cell.cameras import board_pose, board_size
+from cell.frames import pose, rotation
 from cell.settings import BoardConfig
 from hil.sim.render.mesh import Mesh, box_mesh
 from hil.sim.render.scene import Scene, Visual
@@ -30,17 +31,6 @@ def add_board(scene: Scene, board: BoardConfig, robot: int, tcp_link: int) -> No
     plate = Visual(robot, tcp_link, X_TB @ back, box_mesh((width, height, THICKNESS)), _WHITE, None, LABEL)
     scene.add(plate)
     scene.add(Visual(robot, tcp_link, X_TB, _front(width, height), _WHITE, _texture(board), LABEL))
-
-
-def board_pose(board: BoardConfig) -> Array:
-    """X_TB as it is meant to be: B in the middle of the pattern, x along its rows, z into the board."""
-    return pose(rot_z(np.pi / 2) @ rot_x(-np.pi / 2), (0.0, 0.0, board.height))
-
-
-def board_size(board: BoardConfig) -> tuple[float, float]:
-    """Width and height of the plate [m]."""
-    margin = 2 * board.margin
-    return (board.columns + margin) * board.square, (board.rows + margin) * board.square
 
 
 def _front(width: float, height: float) -> Mesh:
