@@ -90,7 +90,9 @@ def summary(console: Console, result: RoundResult) -> None:
         ("sorted", f"{result.sorted} of {result.onions}"),
         (
             "misplaced / dropped",
-            "not known" if result.dropped is None else f"{result.misplaced} / {result.dropped}",
+            "not known"
+            if result.dropped is None
+            else f"{result.misplaced}{_own(result)} / {result.dropped}",
         ),
         (
             "sort time",
@@ -111,3 +113,8 @@ def summary(console: Console, result: RoundResult) -> None:
         console.print(f"[yellow]{line}[/yellow]", highlight=False)
     if result.failure:
         console.print(f"[red]The round did not complete: {result.failure}[/red]", highlight=False)
+
+
+def _own(result: RoundResult) -> str:
+    """Whose mistakes the misplaced ones are, where the person made any."""
+    return f" ({result.misplaced_by_human} by the person)" if result.misplaced_by_human else ""

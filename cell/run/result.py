@@ -17,7 +17,8 @@ class RoundResult:
     """One round; field names are the JSON contract. Times [s], speeds [m/s], distances [m].
 
     Where nobody knows what really became of the onions, by_human, misplaced and dropped are None, and
-    `sorted` counts what the robot sorted and what the person was seen to sort.
+    `sorted` counts what the robot sorted and what the person was seen to sort. `misplaced_by_human` are
+    those of `misplaced` that the person put there: people, simulated ones too, make mistakes.
     """
 
     backend: str
@@ -47,6 +48,7 @@ class RoundResult:
     misses: tuple[str, ...] = ()
     yields: int = 0
     person_contacts: int | None = 0
+    misplaced_by_human: int | None = None
 
     @property
     def succeeded(self) -> bool:
@@ -76,8 +78,16 @@ def judge(truth: Truth) -> tuple[int, int, tuple[str, ...]]:
             lines.append(f"onion {i} ({kind}) dropped: {place} at ({where}) m")
         elif (place == "bin") != bool(blemished):
             misplaced += 1
-            lines.append(f"onion {i} ({kind}) ended on the {place} at ({where}) m")
+            who = ", put there by the person" if truth.by_human[i] else ""
+            lines.append(f"onion {i} ({kind}) ended on the {place} at ({where}) m{who}")
     return misplaced, dropped, tuple(lines)
+
+
+def misplaced_by_human(truth: Truth) -> int:
+    """Of the misplaced onions those that the person sorted."""
+    in_bin = np.array([place == "bin" for place in truth.place])
+    settled = np.array([place in ("belt", "bin") for place in truth.place])
+    return int((settled & truth.by_human & (in_bin != truth.blemished)).sum())
 
 
 def gesture_delay(truth: Truth) -> float | None:

@@ -33,7 +33,7 @@ from cell.run.link import Link, LiveLink, StepLink
 from cell.run.measure import Meter
 from cell.run.node_process import NodeProcess
 from cell.run.recording import about, hand_tap, tapped
-from cell.run.result import RoundResult, gesture_delay, judge
+from cell.run.result import RoundResult, gesture_delay, judge, misplaced_by_human
 from cell.run.tell import publish
 from cell.version import code_version, commit
 from cell.wire.session import Session
@@ -262,6 +262,7 @@ def _drive(
         misses=misses,
         yields=outputs.state.yields,
         person_contacts=_person_contacts(truth),
+        misplaced_by_human=None if truth is None else misplaced_by_human(truth),
     )
 
 

@@ -48,7 +48,7 @@ COLUMNS: dict[str, Callable[[Record], Any]] = {
         for k in (
             "backend", "policy", "onions", "sorted", "by_robot", "by_human", "misplaced", "dropped",
             "sort_time_s", "mode_switches", "industrial_s", "min_separation_m", "gesture_delay_s", "yields",
-            "arm_contacts", "person_contacts",
+            "arm_contacts", "person_contacts", "misplaced_by_human",
         )
     },
     **{f"max_tcp_{k}_m_s": _at("result", "max_tcp_speed_m_s", k) for k in ("collaborative", "industrial")},
@@ -183,6 +183,7 @@ def _totals(table: list[Record]) -> Record:
         "onions": onions,
         "dropped": total("dropped"),
         "misplaced": misplaced,
+        "misplaced_by_human": total("misplaced_by_human"),
         "misplaced_share": _round(misplaced / onions) if misplaced is not None and onions else None,
         "over_permitted_ticks": total("over_permitted_ticks"),
         "over_cap_ticks": total("over_cap_ticks"),
