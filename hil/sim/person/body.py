@@ -78,11 +78,12 @@ class Body:
         self.height = float(self._rest[:, 2].max())
         self._source = data["source"].astype(np.intp)
         faces = data["faces"].astype(np.int32)
-        self._corners = self._source[faces]
+        corners = self._source[faces]
+        self._corner = [np.ascontiguousarray(corners[:, k]) for k in range(3)]
         weight = (data["weight"] / 65535.0).astype(np.float32)
         self._blend = _blend_matrix(data["follow"].astype(np.intp), weight, len(self.rig.bones))
         self._homogeneous = np.concatenate([self._rest, np.ones((len(self._rest), 1), np.float32)], axis=1)
-        self._sum_faces = _face_sum(self._corners, len(self._rest))
+        self._sum_faces = _face_sum(corners, len(self._rest))
         uv = (data["uv"] / 65535.0).astype(np.float32)
         vertices = self._rest[self._source]
         self.mesh = Mesh(
@@ -114,11 +115,18 @@ class Body:
         return self._follow[self._source, 0], self._rest[self._source]
 
     def _normals(self, v: Floats) -> Floats:
-        a, b, c = (v[self._corners[:, k]] for k in range(3))
-        face = np.cross(b - a, c - a)
-        n = self._sum_faces @ face
+        a, b, c = (v.take(corner, axis=0) for corner in self._corner)
+        n = self._sum_faces @ _cross(b - a, c - a)
         out: Floats = n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-12)
         return out.astype(np.float32)
+
+
+def _cross(u: Floats, w: Floats) -> Floats:
+    """As `numpy.cross` of (N, 3), which takes six times as long."""
+    out = np.empty_like(u)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        np.subtract(u[:, j] * w[:, k], u[:, k] * w[:, j], out=out[:, i])
+    return out
 
 
 def _blend_matrix(follow: NDArray[np.intp], weight: Floats, bones: int) -> Any:
