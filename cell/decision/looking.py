@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from cell.decision.primitives import Primitives, Skill
 from cell.frames import Array
+from cell.perception.drift import DriftWatch
 from cell.perception.look import Eye
 from cell.perception.tracking import Tracker
 from cell.wire.types import Detections
@@ -21,13 +22,16 @@ class Looking:
 
     Attributes:
         tracker: the onions known to be on the belt. detections: of all looks, for watchers.
+        news: what is to be said about the camera.
     """
 
     def __init__(self, body: Primitives, eye: Eye) -> None:
         self.body = body
         self.tracker = Tracker()
         self.detections: list[Detections] = []
+        self.news: list[str] = []
         self._eye = eye
+        self._drift = DriftWatch(body.config, "belt")
 
     def at_belt(self) -> Skill[None]:
         """Take a frame of the belt into the tracker."""
@@ -35,6 +39,8 @@ class Looking:
         seen = self._eye.belt(frame)
         self.detections.append(seen.detections)
         self.tracker.look(list(seen.sightings))
+        if warning := self._drift.look(frame):
+            self.news.append(warning)
 
     def again(self, track_id: int) -> Skill[float | None]:
         """P(blemished) of one onion in a new frame of the belt; None if it was not seen."""

@@ -103,6 +103,8 @@ class Supervisor:
             self._show(mode)
         detections = tuple(self._skills.looking.detections)
         self._skills.looking.detections.clear()
+        while self._skills.looking.news:
+            self._say(_WARN, self._skills.looking.news.pop(0))
         events, self._events = tuple(self._events), []
         done, failure = self._result
         hands: tuple[Hands, ...] = ()

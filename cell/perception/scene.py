@@ -28,6 +28,7 @@ class EmptyScene:
 
     Args:
         camera: name of the camera. stride: every how many pixels a ray is cast.
+        X_WC: pose of the camera, if not the configured one.
 
     Attributes:
         stride: see above.
@@ -36,11 +37,11 @@ class EmptyScene:
         p_WC: the camera (3,) [m]. X_WC: its pose. pinhole: of the full image.
     """
 
-    def __init__(self, config: CellConfig, camera: str, stride: int) -> None:
+    def __init__(self, config: CellConfig, camera: str, stride: int, X_WC: Array | None = None) -> None:
         c = config.cameras[camera]
         self.stride = stride
         self.pinhole = camera_pinhole(c)
-        self.X_WC = camera_pose(c)
+        self.X_WC = camera_pose(c) if X_WC is None else X_WC
         self.p_WC: Array = self.X_WC[:3, 3]
         u, v = np.meshgrid(np.arange(0, c.width, stride), np.arange(0, c.height, stride))
         rays_C = self.pinhole.back_project(np.stack([u, v], axis=-1), np.ones(u.shape))
