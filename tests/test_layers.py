@@ -30,7 +30,7 @@ ABOVE = {
     "cell.replay": {"cell.decision", "cell.perception", "cell.motion", "cell.record"},
     "cell.calibrate": {"cell.run", "cell.decision", "cell.perception", "cell.motion"},
     "cell.doctor": {"cell.perception", "cell.motion"},
-    "cell.view": {"cell.perception", "cell.motion", "cell.record", "urdf"},
+    "cell.view": {"cell.decision.policy", "cell.perception", "cell.motion", "cell.record", "urdf"},
     "cell.learn": {"cell.decision.policy"},
     "cell.trials": {
         "cell.run",

@@ -17,8 +17,9 @@ from contextlib import suppress
 
 from cell.config import from_dict
 from cell.errors import CellError, ConfigError, WireError
-from cell.view.child import WAITING, WATCHED
+from cell.view.child import ADDRESS, WATCHED
 from cell.view.live import LiveSource
+from cell.view.page import HOST
 from cell.view.serve import serve
 
 _NICE = 10
@@ -48,7 +49,7 @@ def main() -> int:
         threading.Thread(target=watch_parent, name="parent", daemon=True).start()
 
         def source() -> LiveSource:
-            print(WAITING, flush=True)
+            print(f"{ADDRESS}{HOST}:{args.port}", flush=True)
             while True:
                 try:
                     return LiveSource(config, _TRY)
@@ -60,7 +61,7 @@ def main() -> int:
             with suppress(OSError):  # whoever reads it may be gone
                 print(f"{WATCHED}{browsers}", flush=True)
 
-        serve(config, args.port, source, lambda address: print(address, flush=True), ended.is_set, count)
+        serve(config, args.port, source, lambda address: None, ended.is_set, count)
     except CellError as error:
         if not ended.is_set():
             print(" ".join(str(error).split()), file=sys.stderr)

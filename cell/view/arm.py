@@ -15,8 +15,8 @@ from urdf import FINGER_JOINT_NAMES, JOINT_NAMES, robot_description
 if TYPE_CHECKING:
     from viser import ViserServer
 
-_FACES = 2500
-"""Most triangles of one mesh."""
+_FACES, _ERROR = 1500, 0.02
+"""Most triangles of one mesh, unless its shape would suffer by more than this share of its size."""
 
 
 class Arm:
@@ -48,23 +48,22 @@ class Arm:
 
 
 def _lighter(mesh: Any) -> Any:
-    """The mesh (a trimesh.Trimesh) with at most _FACES triangles or so, in its colour."""
+    """The mesh (a trimesh.Trimesh) with at most _FACES triangles or so, in its plain colour."""
     import meshoptimizer
     import trimesh
 
-    faces = np.ascontiguousarray(mesh.faces, np.uint32).ravel()
-    if len(faces) <= 3 * _FACES:
-        return mesh
-    merged = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    merged.merge_vertices(merge_tex=True, merge_norm=True)
-    faces = np.ascontiguousarray(merged.faces, np.uint32).ravel()
-    vertices = np.ascontiguousarray(merged.vertices, np.float32)
-    kept = np.zeros_like(faces)
-    count = meshoptimizer.simplify(kept, faces, vertices, target_index_count=3 * _FACES, target_error=0.02)
-    out: Any = trimesh.Trimesh(vertices, kept[:count].reshape(-1, 3), process=False)
+    material = getattr(mesh.visual, "material", None)
+    colour = mesh.visual.main_color if material is None else material.main_color
+    plain = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    plain.merge_vertices(merge_tex=True, merge_norm=True)
+    faces = np.ascontiguousarray(plain.faces, np.uint32).ravel()
+    vertices = np.ascontiguousarray(plain.vertices, np.float32)
+    if len(faces) > 3 * _FACES:
+        kept = np.zeros_like(faces)
+        most = 3 * _FACES
+        count = meshoptimizer.simplify(kept, faces, vertices, target_index_count=most, target_error=_ERROR)
+        faces = kept[:count]
+    out: Any = trimesh.Trimesh(vertices, faces.reshape(-1, 3), process=False)
     out.remove_unreferenced_vertices()
-    colour = getattr(mesh.visual, "main_color", None)
-    if colour is None:
-        colour = mesh.visual.to_color().main_color
     out.visual.face_colors = colour
     return out

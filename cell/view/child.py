@@ -14,8 +14,8 @@ from typing import Self
 from cell.config import CellConfig, to_dict
 from cell.errors import CellError
 
-WAITING, WATCHED = "waiting", "watched "
-"""What the view prints: the port is its own and it looks for the cell; how many browsers are open."""
+ADDRESS, WATCHED = "http://", "watched "
+"""What the view prints: its page's address, once the port is its own; how many browsers show the page."""
 _START, _END = 60.0, 3.0
 """How long it may take to get its port, and to end [s]."""
 
@@ -88,7 +88,7 @@ class ViewProcess:
         for line in self._process.stdout:
             if line.startswith(WATCHED):
                 self._browsers = int(line.removeprefix(WATCHED))
-            elif line.startswith("http"):
+            elif line.startswith(ADDRESS):
                 self._tell(line.strip())
             self._serves = True
             self._told.set()

@@ -45,7 +45,16 @@ def view(
         def source() -> Source:
             return LiveSource(cell, _CONNECT)
     else:
-        raise ConfigError("recordings: soon")
+        if config is not None:
+            raise ConfigError("--config is for a running cell; a recording brings its own")
+        from cell.view.recorded import RecordedSource
+
+        recording = RecordedSource(file)
+        cell = recording.config
+
+        def source() -> Source:
+            return recording
+
     try:
         serve(cell, port, source, _tell, lambda: False)
     except KeyboardInterrupt:

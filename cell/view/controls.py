@@ -85,6 +85,7 @@ class Controls:
         gui, keys = server.gui, source.session.keys
         self._source, self._config, self._keys = source, config, keys
         self._lock = threading.Lock()
+        self._next: _Guarded
         self._stop = gui.add_button("STOP", color="red", hint="brakes the arm on its path; one click")
         self._stop.on_click(lambda _: self._say("stop", source.send(keys.stop, self._stop_order())))
         resume = gui.add_button("Resume after stop", color="green", hint="two clicks; plans afresh")
@@ -98,6 +99,21 @@ class Controls:
         self._cap.on_update(lambda event: self._order("cap", float(self._cap.value), event))
         self._note = gui.add_html(words.note(""))
 
+    def add_next_round(self, server: ViserServer, policies: list[str]) -> None:
+        """The part of the page that orders another batch."""
+        gui, most = server.gui, 15
+        with gui.add_folder("Next batch", expand_by_default=False):
+            policy = gui.add_dropdown("policy", policies, initial_value=policies[0])
+            onions = gui.add_number("onions", most, min=1, max=most, step=1)
+            seed = gui.add_number("seed", 1, min=0, max=2**31 - 1, step=1)
+            button = gui.add_button("Order it", color="green", hint="two clicks; it follows this batch")
+
+            def order() -> None:
+                wanted = NextRound(HOLDER, str(policy.value), int(onions.value), int(seed.value))
+                self._say("next batch", self._source.send(self._keys.next_round, wanted))
+
+            self._next = _Guarded(button, "Order it", order)
+
     def show(self, moment: Moment) -> None:
         """What can be asked for at this moment."""
         stopped = moment.arm is not None and moment.arm.stopped
@@ -109,9 +125,7 @@ class Controls:
         self._hold.visible = not held and not stopped
         self._go.refresh(live and held and not stopped)
         self._go.button.visible = held and not stopped
-
-    def next_round(self, policy: str, onions: int, seed: int) -> Reply:
-        return self._source.send(self._keys.next_round, NextRound(HOLDER, policy, onions, seed))
+        self._next.refresh(live)
 
     def _order(self, order: str, value: float = 0.0, event: Any = None) -> None:
         if event is not None and event.client_id is None:

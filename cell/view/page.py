@@ -11,6 +11,7 @@ import numpy as np
 
 from cell.clock import WallClock
 from cell.config import CellConfig
+from cell.decision.policy import shipped
 from cell.errors import WireError
 from cell.view import drawing, words
 from cell.view.controls import Controls
@@ -18,7 +19,9 @@ from cell.view.live import LiveSource
 from cell.view.moment import Moment, Source
 from cell.view.onions import Perceived
 from cell.view.person import PersonFigure
+from cell.view.player import Player
 from cell.view.plots import Plots
+from cell.view.recorded import RecordedSource
 from cell.view.scene import Scene
 from cell.view.tool import tool_speed
 
@@ -86,9 +89,12 @@ class Page:
         live = source if isinstance(source, LiveSource) else None
         self._live = live
         self._controls = None if live is None else Controls(server, config, live)
+        self._player = Player(server, source) if isinstance(source, RecordedSource) else None
         self._picture = gui.add_image(np.full((240, 644, 3), 60, np.uint8), format="jpeg", jpeg_quality=80)
         self._plots = Plots(server)
         self._show_truth = None if live is None else gui.add_checkbox("true onions (simulation)", False)
+        if self._controls is not None:
+            self._controls.add_next_round(server, list(shipped()))
         with gui.add_folder("Events", expand_by_default=False):
             self._events = gui.add_html(words.note(""))
         self._scene = Scene(server, config)
@@ -97,10 +103,16 @@ class Page:
         self._due = {"words": Due(_STATUS), "pictures": Due(_PICTURES), "plots": Due(_CURVES)}
         self._began: float | None = None
         self._ended: float | None = None
+        self._whole = live is None
         self._last_picture: tuple[float, ...] = ()
 
-    def show(self, moment: Moment) -> None:
-        """Draw what is due."""
+    def draw(self) -> None:
+        """Draw what is due of the present moment."""
+        if self._player is not None:
+            self._player.advance()
+        self._show(self._source.moment())
+
+    def _show(self, moment: Moment) -> None:
         onions = self._perceived.update(moment)  # follows the hand, also while nobody looks
         self._keep_time(moment)
         if self._live is not None and self._show_truth is not None:
@@ -128,7 +140,7 @@ class Page:
 
     def _words(self, moment: Moment) -> None:
         speed = 0.0 if moment.joints is None else tool_speed(moment.joints, self._config.gripper.length)
-        self._status.content = words.status(moment, speed, self._elapsed(moment))
+        self._status.content = words.status(moment, speed, self._elapsed(moment), self._whole)
         self._events.content = words.events(moment.events)
         if self._controls is not None:
             self._controls.show(moment)
@@ -145,8 +157,10 @@ class Page:
 
     def _keep_time(self, moment: Moment) -> None:
         if moment.state is None:
+            self._whole |= moment.fresh  # the round has not begun
             return
         if self._began is None or moment.state.t < self._began:
+            self._whole |= self._began is not None  # the clock was set back: a new round
             self._began, self._ended = moment.state.t, None
         if moment.state.phase == "done" and self._ended is None:
             self._ended = moment.state.t

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 _POINTS = 300
-_TALL = 105
+_TALL = 78
 
 
 class Plots:

@@ -23,7 +23,8 @@ _EYE, _TARGET, _FIELD = (-0.35, -2.0, 1.15), (0.70, 0.05, -0.02), 0.85
 """Where one looks from, at what [m], and the vertical field of view [rad]."""
 _PATH = (40, 130, 255)
 _NEAR, _FAR = (225, 60, 50), (60, 160, 80)
-_FLAT = 0.02
+_POST = 0.25
+"""Opacity of the cameras' posts, which stand before what one wants to see."""
 
 
 class Scene:
@@ -41,7 +42,11 @@ class Scene:
         server.initial_camera.fov = _FIELD
         for part in parts(config):
             server.scene.add_box(
-                f"/cell/{part.name}", color=part.colour, dimensions=part.size, position=tuple(part.centre)
+                f"/cell/{part.name}",
+                color=part.colour,
+                dimensions=part.size,
+                position=tuple(part.centre),
+                opacity=_POST if part.name.startswith("post") else None,
             )
         self._cameras()
         self._arm = Arm(server)

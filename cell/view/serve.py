@@ -36,11 +36,11 @@ def serve(
     try:
         source = make_source()
         try:
-            page = Page(server, config, source)
             ready(f"http://{HOST}:{port}")
+            page = Page(server, config, source)
             due, browsers = clock.now(), 0
             while not ended():
-                page.show(source.moment())
+                page.draw()
                 if count is not None and len(server.get_clients()) != browsers:
                     browsers = len(server.get_clients())
                     count(browsers)

@@ -56,11 +56,12 @@ def mode_of(moment: Moment) -> tuple[str, str, str]:
     return name, colour, _why(state)
 
 
-def status(moment: Moment, speed: float, elapsed: float) -> str:
+def status(moment: Moment, speed: float, elapsed: float, whole: bool) -> str:
     """The block at the top of the page.
 
     Args:
-        speed: of the tool [m/s]. elapsed: time of the round [s].
+        speed: of the tool [m/s]. elapsed: time of the round [s], of its `whole` or since
+            the view began.
     """
     name, colour, why = mode_of(moment)
     head = (
@@ -83,7 +84,7 @@ def status(moment: Moment, speed: float, elapsed: float) -> str:
             f"<b>{state.sorted}</b> by the robot ({state.in_bin} bin, {state.on_conveyor} belt), "
             f"<b>{state.by_human}</b> by the person",
         ),
-        ("time", f"<b>{elapsed:.0f} s</b>, {state.remaining} onions in sight"),
+        ("time", f"<b>{elapsed:.0f} s</b>{'' if whole else ' in view'}, {state.remaining} onions in sight"),
     ]
     lines = "".join(
         f'<tr><td style="color:#777;padding-right:8px;vertical-align:top">{a}</td><td>{b}</td></tr>'
