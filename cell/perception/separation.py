@@ -100,15 +100,18 @@ class Separation:
         before = self._foreground(depth)
         rows, columns = np.nonzero(before)
         p = self.scene.p_WC + depth[rows, columns, None] * self.scene.rays_W[rows, columns].astype(float)
-        is_arm = _gaps(p, arm) < _ARM_MARGIN
+        gaps = _gaps(p, arm)
+        is_arm = gaps < _ARM_MARGIN
         person = _mask(~is_arm)
         person[person] = self._not_produce(p[person], onions)
-        points, seen = p[person], np.full(int(person.sum()), frame.t)
+        points, gaps, seen = p[person], gaps[person], np.full(int(person.sum()), frame.t)
         if self._last is not None and len(self._last.p_WP):
             hidden = self._hidden(depth, rows[is_arm], columns[is_arm], frame.t)
-            points = np.concatenate([points, self._last.p_WP[hidden]])
+            remembered = self._last.p_WP[hidden]
+            points = np.concatenate([points, remembered])
+            gaps = np.concatenate([gaps, _gaps(remembered, arm)])
             seen = np.concatenate([seen, self._last.seen_at[hidden]])
-        order = np.argsort(_gaps(points, arm), kind="stable") if len(points) else np.zeros(0, np.intp)
+        order = np.argsort(gaps, kind="stable")
         self._last = Cloud(frame.t, points[order], seen[order], share)
         return self._last
 
