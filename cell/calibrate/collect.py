@@ -58,7 +58,7 @@ class Collector:
             wanted.sort(key=lambda p: float(np.abs(p.q - self._body.q_rest).max()))
             pose = wanted[0]
             left = [p for p in left if p is not pose]
-            if not self._go(pose.q):
+            if not self._go(self._carrying, pose.q):
                 tell(f"camera {camera}: a pose is left out, no free way leads there")
                 continue
             view = self._run(self._look(camera))
@@ -85,22 +85,22 @@ class Collector:
                 reasons.append(str(error))
         raise PlanError(f"no pose at which the board could be put in is within reach: {reasons[0]}")
 
-    def back(self, q: Array) -> None:
-        """Carry the board to joint angles q (6,) [rad]. Raises `PlanError` when no free way leads there."""
-        self._follow(self._carrying, q)
+    def back(self, q: Array) -> bool:
+        """Carry the board to joint angles q (6,) [rad]; False when no free way leads there."""
+        return self._go(self._carrying, q)
 
     def wait(self, done: Callable[[], bool]) -> None:
         """Keep the arm's loop alive until somebody has done what was asked for."""
         while not done():
             self._body.inputs = self._link.exchange(self._body.take_outbox())
 
-    def home(self) -> None:
-        """Move the empty gripper home, clear of the cameras. Raises `PlanError` when no way leads there."""
-        self._follow(self._planner, np.array(self._config.arm.home))
+    def home(self) -> bool:
+        """Move the empty gripper home, clear of the cameras; False when no free way leads there."""
+        return self._go(self._planner, np.array(self._config.arm.home))
 
-    def _go(self, q: Array) -> bool:
+    def _go(self, planner: Planner, q: Array) -> bool:
         try:
-            self._follow(self._carrying, q)
+            self._follow(planner, q)
         except PlanError:
             return False
         return True

@@ -114,10 +114,12 @@ def _collect(config: CellConfig, options: Options, tell: Tell, ask: Ask) -> dict
                 arm.wait(ask(_PUT_IN))
             arm.grip()
             views = {name: arm.views(name, poses[name], options.views, tell) for name in options.names}
-            arm.back(start)
+            if not arm.back(start):
+                tell("no free way leads back to where the board was put in; the arm stays here")
             if not options.simulated:
                 arm.wait(ask(_TAKE_OUT))
-            arm.home()
+            if not arm.home():
+                tell("no free way leads home; the arm stays here")
         except KeyboardInterrupt:
             link.stop("interrupted by the user")
             raise
