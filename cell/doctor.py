@@ -2,17 +2,59 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 import platform
+import re
+import shutil
 import socket
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, requires, version
+from importlib.util import find_spec
 from pathlib import Path
 
 from rich.console import Console
 
+from cell.clock import WallClock
 from cell.config import CellConfig, load
 from cell.errors import CellError
+
+_NAMED = ("numpy", "pybullet", "opencv-python-headless", "eclipse-zenoh", "onnxruntime", "torch")
+"""Packages whose versions are told."""
+_OPENCVS = (
+    "opencv-python-headless",
+    "opencv-python",
+    "opencv-contrib-python",
+    "opencv-contrib-python-headless",
+)
+_EXTRAS = (
+    ("ur3e", "rtde_control", "the real arm's library"),
+    ("realsense", "pyrealsense2", "the RealSense camera's library"),
+    ("oakd", "depthai", "the OAK-D camera's library"),
+    ("learn", "torch", "torch, for training"),
+)
+_OLD = 180
+"""Days after which a calibration should be made again."""
+_LEAST_DISK, _SOME_DISK = 0.2, 2.0
+"""[GB]"""
+_PRIORITY = 3
+"""What the arm's driver asks for, see docs/robot.md."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One check: what is wrong, empty when nothing is; else what is there.
+
+    `needed`: without it `cell run` in simulation does not work, or not as configured.
+    """
+
+    name: str
+    problem: str = ""
+    note: str = ""
+    needed: bool = True
 
 
 def examine(
@@ -29,68 +71,163 @@ def examine(
     """
     console = Console(highlight=False)
     good = True
+    for row in _rows(config_path, renderer_problem, robot):
+        good = good and (not row.problem or not row.needed)
+        bad = "[red]MISS[/red]" if row.needed else "[yellow]warn[/yellow]"
+        mark = bad if row.problem else "[green]ok  [/green]"
+        console.print(f"{mark} {row.name:<13} {row.problem or row.note}", soft_wrap=True)
+    return good
 
-    def report(name: str, problem: str, note: str = "", needed: bool = True) -> None:
-        nonlocal good
-        good = good and (not problem or not needed)
-        mark = (
-            "[green]ok  [/green]"
-            if not problem
-            else ("[red]MISS[/red]" if needed else "[yellow]warn[/yellow]")
-        )
-        console.print(f"{mark} {name:<12} {problem or note}")
 
-    wanted = sys.version_info[:2] == (3, 11)
-    report(
-        "python", "" if wanted else f"{platform.python_version()}; 3.11 is needed", platform.python_version()
-    )
+def _rows(
+    config_path: Path | None,
+    renderer_problem: Callable[[], str],
+    robot: Callable[[], list[tuple[str, str, str]]] | None,
+) -> Iterator[Row]:
+    """The checks one by one, as they are made."""
+    found = platform.python_version()
+    yield Row("python", "" if sys.version_info[:2] == (3, 11) else f"{found}; 3.11 is needed", found)
     missing = _missing_packages()
-    report(
+    yield Row(
         "packages",
-        f"not installed: {', '.join(missing)}; run tools/run or pip install -e ." if missing else "",
-        "all installed",
+        f"{', '.join(missing)}; run tools/run or pip install -e ." if missing else "",
+        f"all installed: {_versions()}",
     )
+    yield Row("opencv", _two_opencvs(), "one OpenCV", needed=False)
     config: CellConfig | None = None
     try:
         config = load(config_path)
-        report("config", "", str(config_path or "the reference cell"))
+        yield Row("config", "", str(config_path or "the reference cell"))
     except CellError as error:
-        report("config", str(error))
+        yield Row("config", str(error))
     if config is not None and not missing:
-        report(
-            "reach", _problem(lambda: _check_reach(config)), "every pick, inspect and place pose is reachable"
-        )
-        report("detector", _problem(lambda: _check_detector(config)), "weights load and run")
-        report("hands", _problem(lambda: _check_hands(config)), "the hand networks are there", needed=False)
+        yield from _perception(config)
     if config is not None:
-        report("port", _port_problem(config.port), f"{config.port} is free")
+        yield Row("port", _port_problem(config.port), f"{config.port} is free")
+        yield from _calibrations(config)
     problem = renderer_problem()
-    report(
-        "renderer",
-        f"{problem}; the slower TinyRenderer is used" if problem else "",
-        "EGL works",
+    slower = f"{problem}; the slower TinyRenderer is used" if problem else ""
+    yield Row("renderer", slower, "EGL works", needed=False)
+    yield _disk()
+    yield _real_time()
+    for extra, module, what in _EXTRAS:
+        there = find_spec(module) is not None
+        yield Row(
+            extra,
+            "",
+            f"{what} is installed" if there else f"not installed ({what}): pip install -e .[{extra}]",
+        )
+    for name, problem, note in robot() if robot is not None else []:
+        yield Row(name, problem, note)
+
+
+def _perception(config: CellConfig) -> Iterator[Row]:
+    """Reach and networks."""
+    yield Row(
+        "reach", _problem(lambda: _check_reach(config)), "every pick, inspect and place pose is reachable"
+    )
+    weights = Path(config.detector) if config.detector else None
+    problem = _problem(lambda: _check_detector(weights))
+    yield Row("detector", problem, f"weights load and run, {'' if problem else _sha(weights)}")
+    problem = _problem(lambda: _check_hands(config))
+    yield Row("hands", problem, "the hand networks are there, SHA-256 as published", needed=False)
+
+
+def _calibrations(config: CellConfig) -> Iterator[Row]:
+    """Whether and when the cameras were calibrated."""
+    for name, camera in config.cameras.items():
+        row, c = f"camera {name}", camera.calibration
+        if c is None:
+            yield Row(row, "", "not calibrated: stands as configured; a real one needs cell calibrate")
+            continue
+        try:
+            made = datetime.strptime(c.date, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC).timestamp()
+        except ValueError:
+            yield Row(
+                row, f"cameras.{name}.calibration.date is no date like 2026-01-31T12:00:00Z", needed=False
+            )
+            continue
+        days = (WallClock().now() - made) / 86400
+        note = f"calibrated {days:.0f} days ago, residual {c.residual:.2f} px, {c.made_by}"
+        yield Row(row, f"{note}: calibrate again" if days > _OLD else "", note, needed=False)
+
+
+def _disk() -> Row:
+    free = shutil.disk_usage(Path.cwd()).free / 1e9
+    note = f"{free:.1f} GB free here"
+    if free < _LEAST_DISK:
+        return Row("disk", f"{note}, {_LEAST_DISK} GB are needed")
+    return Row(
+        "disk", f"{note}; a recorded round takes up to 1 GB" if free < _SOME_DISK else "", note, needed=False
+    )
+
+
+def _real_time() -> Row:
+    """Whether the system grants real-time priority, which a real arm's driver asks for."""
+    if not hasattr(os, "sched_setscheduler"):
+        return Row(
+            "real time", "this system has no real-time scheduling; for a real arm use Linux", needed=False
+        )
+    import resource
+
+    highest, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
+    if os.geteuid() == 0 or highest == resource.RLIM_INFINITY or highest >= _PRIORITY:
+        return Row("real time", "", "priority is granted")
+    return Row(
+        "real time",
+        f"priority up to {highest} is granted, a real arm's driver asks for {_PRIORITY}: add "
+        "'@realtime - rtprio 20' to /etc/security/limits.conf and yourself to that group",
         needed=False,
     )
-    for name, problem, note in robot() if robot is not None else []:
-        report(name, problem, note)
-    return good
+
+
+def _versions() -> str:
+    return ", ".join(f"{name} {version(name)}" for name in _NAMED if _installed(name))
+
+
+def _installed(name: str) -> bool:
+    try:
+        version(name)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
+def _two_opencvs() -> str:
+    there = [name for name in _OPENCVS if _installed(name)]
+    if len(there) < 2:
+        return ""
+    return f"{' and '.join(there)} overwrite each other's files: uninstall all, then install {_OPENCVS[0]}"
+
+
+def _sha(weights: Path | None) -> str:
+    from cell.perception.detector import shipped_weights
+
+    data = (weights or shipped_weights()).read_bytes()
+    return f"SHA-256 {hashlib.sha256(data).hexdigest()[:12]}"
 
 
 def _missing_packages() -> list[str]:
     try:
         wanted = [r for r in requires("sorting-cell") or [] if "extra ==" not in r]
     except PackageNotFoundError:
-        return ["sorting-cell"]
+        return ["sorting-cell is not installed"]
     missing = []
     for requirement in wanted:
-        name = requirement.split(";")[0]
-        for mark in "<>=!~[ ":
-            name = name.split(mark)[0]
-        try:
-            version(name)
-        except PackageNotFoundError:
-            missing.append(name)
+        name = re.split(r"[^A-Za-z0-9._-]", requirement, maxsplit=1)[0]
+        if not _installed(name):
+            missing.append(f"{name} is not installed")
+        elif not _fits(requirement, version(name)):
+            missing.append(f"{name} {version(name)} does not fit {requirement}")
     return missing
+
+
+def _fits(requirement: str, found: str) -> bool:
+    try:
+        from packaging.requirements import Requirement
+    except ImportError:  # comes with onnxruntime; what is missing is said elsewhere
+        return True
+    return Requirement(requirement).specifier.contains(found, prereleases=True)
 
 
 def _problem(check: Callable[[], None]) -> str:
@@ -107,12 +244,12 @@ def _check_reach(config: CellConfig) -> None:
     check_reachable(config)
 
 
-def _check_detector(config: CellConfig) -> None:
+def _check_detector(weights: Path | None) -> None:
     import numpy as np
 
     from cell.perception.detector import Detector
 
-    detector = Detector(Path(config.detector) if config.detector else None)
+    detector = Detector(weights)
     detector.detect(np.zeros((64, 64, 3), np.uint8))
 
 
