@@ -40,13 +40,16 @@ class Browser:
 
     Args:
         size: width and height [px]. sharpness: device pixels per pixel; few are quickly drawn.
+        nice: how far it stands back.
     """
 
-    def __init__(self, url: str, size: tuple[int, int] = (1100, 700), *, sharpness: float = 1.0) -> None:
+    def __init__(
+        self, url: str, size: tuple[int, int] = (1100, 700), *, sharpness: float = 1.0, nice: int = 5
+    ) -> None:
         self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         flags = [*_FLAGS, f"--window-size={size[0]},{size[1]}", f"--user-data-dir={self._folder.name}"]
         self._process = subprocess.Popen(
-            [find(), *flags, "about:blank"],
+            ["nice", "-n", str(nice), find(), *flags, "about:blank"],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,

@@ -65,7 +65,8 @@ class Operated(Rig):
     def __init__(self, seed: int, onions: int) -> None:
         super().__init__(seed, onions, "expert")
         section = msgspec.structs.replace(reference().supervisor, stop_patience=60.0)
-        config = msgspec.structs.replace(reference(), supervisor=section)
+        person = msgspec.structs.replace(reference().separation, patience=0.5)
+        config = msgspec.structs.replace(reference(), supervisor=section, separation=person)
         table = policy.load("expert")
         self.supervisor = Supervisor(config, table, *motion(), self.detector, "test")
         self.orders: tuple[T.OperatorCommand, ...] = ()
@@ -110,7 +111,7 @@ def operated() -> Operated:
     rig.until(lambda: rig.state.mode == Mode.HOLD)
     rig.until(lambda: not rig.executor.moving)
     held_at = rig.backend.read_joints().q
-    for _ in range(round(6.0 / 0.04)):  # longer than a person would be waited for
+    for _ in range(50):  # longer than a person would be waited for
         assert not rig.step().done
     assert np.abs(rig.backend.read_joints().q - held_at).max() < 0.01
     assert rig.state.mode == Mode.HOLD and rig.state.binding_cap == "operator"
@@ -132,7 +133,7 @@ def operated() -> Operated:
     rig.executor.stop("a test")
     rig.until(lambda: rig.state.mode == Mode.STOPPED)
     stopped_at = len(rig.outputs)
-    for _ in range(50):
+    for _ in range(25):
         assert not rig.step().done
     assert rig.executor.stop_reason and not rig.executor.moving
     assert not any(out.commands for out in rig.outputs[stopped_at + 1 :])
@@ -307,7 +308,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RecordedSourc
 
 def test_a_recording_is_shown_at_any_time_in_any_order(recorded: RecordedSource) -> None:
     q = move(HOME, HOME + 0.3, 2.0, 251)
-    assert (recorded.start, round(recorded.end, 2)) == (0.0, 2.0)
+    assert recorded.start == 0.0 and abs(recorded.end - 2.0) < 0.05
     for t in (2.0, 0.4, 1.2, 0.0):
         recorded.t = t
         moment = recorded.moment()

@@ -143,8 +143,10 @@ class Following:
 
     def longest(self) -> float:
         """Time that what is left may take [s], from now on."""
-        rest = self._full if self._holds else self.timed
-        return self._config.separation.patience + rest.duration + self._lead.value
+        rest = (self._full if self._holds else self.timed).duration
+        if self._change is not None:  # under a lower cap it takes longer than what it replaces
+            rest = max(rest, self._change.timed.duration)
+        return self._config.separation.patience + rest + self._lead.value
 
     # -- internals --------------------------------------------------------------------------------------
 
