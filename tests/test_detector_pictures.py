@@ -14,7 +14,7 @@ from cell.errors import ConfigError
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tools"))
 
-from _detector_pictures import read_folder  # noqa: E402
+from _detector_pictures import read_folder
 
 CAMERA = load().cameras["belt"]
 
