@@ -113,6 +113,7 @@ class Controls:
                 self._say("next batch", self._source.send(self._keys.next_round, wanted))
 
             self._next = _Guarded(button, "Order it", order)
+        self.show(Moment())  # nothing can be asked for yet but to stop
 
     def show(self, moment: Moment) -> None:
         """What can be asked for at this moment."""

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cell.frames import Array
+from cell.view import words
 from cell.view.moment import SPAN, Curves
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
 _POINTS = 300
-_TALL = 78
+_TALL = 86
 
 
 class Plots:
@@ -23,17 +24,21 @@ class Plots:
         from viser import uplot
 
         none = (np.zeros(2), np.zeros(2))
-        axes = (uplot.Axis(show=True, size=22, label=""), uplot.Axis(show=True, size=34))
+        axes = (
+            uplot.Axis(show=True, size=22, label=""),
+            uplot.Axis(show=True, size=34, splits=(0.0, 0.5, 1.0)),
+        )
         self._uplot = uplot
+        server.gui.add_html(words.note("belief that the person is tired, over the last minute"))
         self._belief = server.gui.add_uplot(
             data=none,
             series=(uplot.Series(label="s"), uplot.Series(label="belief: tired", stroke="#7b1fa2", width=2)),
             scales={"x": uplot.Scale(time=False, range=(-SPAN, 0.0)), "y": uplot.Scale(range=(0.0, 1.05))},
             axes=axes,
-            title="belief that the person is tired",
             legend=uplot.Legend(show=False),
             height=_TALL,
         )
+        server.gui.add_html(words.note("speed of the tool (blue) and its cap (red) [m/s]"))
         self._speed = server.gui.add_uplot(
             data=(np.zeros(2), np.zeros(2), np.zeros(2)),
             series=(
@@ -43,7 +48,6 @@ class Plots:
             ),
             scales={"x": uplot.Scale(time=False, range=(-SPAN, 0.0)), "y": uplot.Scale(range=(0.0, 1.05))},
             axes=axes,
-            title="tool speed (blue) under its cap (red), m/s",
             legend=uplot.Legend(show=False),
             height=_TALL,
         )
