@@ -256,13 +256,15 @@ class Together:
         return Reply(True)
 
 
-def test_the_arm_goes_from_pose_to_pose_and_rests_for_every_picture() -> None:
+@pytest.mark.parametrize("live", [False, True])
+def test_the_arm_goes_from_pose_to_pose_and_rests_for_every_picture(live: bool) -> None:
     config = truth.misplaced(CONFIG, 2)
     backend = SimBackend(config, 2, 0)
     backend.connect()
     told: list[str] = []
     try:
-        arm = Collector(CONFIG, Together(backend), *planners(), BOARD, "test")  # type: ignore[arg-type]
+        arm = Collector(CONFIG, Together(backend), *planners(), BOARD, "test", live=live)  # type: ignore[arg-type]
+        arm.wait(iter([False, False, True]).__next__)
         start = arm.reach(list(poses("belt")))
         arm.grip()
         views = arm.views("belt", list(poses("belt")), 3, told.append)

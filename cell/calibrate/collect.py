@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 import numpy as np
@@ -30,13 +31,22 @@ class Collector:
 
     Args:
         link: to the node. planner, carrying: for the bare arm, and with the board in its gripper.
-        holder: name for the command lease.
+        holder: name for the command lease. live: time passes by itself, and so does the node's patience
+            with a silent heart; plans are then made beside the arm's loop.
     """
 
     def __init__(
-        self, config: CellConfig, link: Link, planner: Planner, carrying: Planner, board: Board, holder: str
+        self,
+        config: CellConfig,
+        link: Link,
+        planner: Planner,
+        carrying: Planner,
+        board: Board,
+        holder: str,
+        *,
+        live: bool,
     ) -> None:
-        self._config, self._link, self._board = config, link, board
+        self._config, self._link, self._board, self._live = config, link, board, live
         self._planner, self._carrying = planner, carrying
         self._body = Primitives(config, holder)
         self._body.inputs = link.exchange(())
@@ -108,8 +118,18 @@ class Collector:
     def _follow(self, planner: Planner, q: Array) -> None:
         at = self._body.q_rest
         if float(np.abs(q - at).max()) > 1e-3:
-            path = planner.plan_joints(at, q, self._config.motion.collaborative_speed)
+            cap = self._config.motion.collaborative_speed
+            path = self._beside(lambda: planner.plan_joints(at, q, cap))
             self._run(self._body.follow(path))
+
+    def _beside(self, work: Callable[[], T]) -> T:
+        """The result of `work`; the arm's loop goes on meanwhile where time does."""
+        if not self._live:
+            return work()
+        with ThreadPoolExecutor(1) as worker:
+            result = worker.submit(work)
+            self.wait(result.done)
+            return result.result()
 
     def _look(self, camera: str) -> Skill[View]:
         body = self._body
@@ -121,7 +141,8 @@ class Collector:
         q = 0.5 * (before + after)
         drift = float(np.abs(after - before).max())
         X_WT = self._planner.kinematics.X_WT(q)
-        return View(q, X_WT, self._board.find(frame.rgb), max(speed, self._speed()), drift)
+        corners = self._beside(lambda: self._board.find(frame.rgb))
+        return View(q, X_WT, corners, max(speed, self._speed()), drift)
 
     def _joints(self) -> Array:
         assert self._body.inputs is not None

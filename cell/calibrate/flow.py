@@ -108,7 +108,7 @@ def _collect(config: CellConfig, options: Options, tell: Tell, ask: Ask) -> dict
         link: Link = (StepLink if lock_step else LiveLink)(session, config, HOLDER)
         stack.callback(link.close)
         try:
-            arm = Collector(config, link, planner, carrying, board, HOLDER)
+            arm = Collector(config, link, planner, carrying, board, HOLDER, live=not lock_step)
             start = arm.reach(poses[options.names[0]])
             if not options.simulated:
                 arm.wait(ask(_PUT_IN))
