@@ -101,7 +101,7 @@ class Browser:
 
     def text(self) -> str:
         """All that can be read."""
-        return str(self.run("document.body.innerText"))
+        return str(self.run('document.body?.innerText ?? ""'))
 
     def wait(self, script: str, seconds: float = _START) -> None:
         """Until a JavaScript expression is true."""
@@ -119,7 +119,7 @@ class Browser:
         )
 
     def wait_for_text(self, text: str, seconds: float = _START) -> None:
-        self.wait(f"document.body.innerText.includes({json.dumps(text)})", seconds)
+        self.wait(f"(document.body?.innerText ?? '').includes({json.dumps(text)})", seconds)
 
     def picture(self, path: Path) -> None:
         """Write what is seen as PNG."""
