@@ -266,6 +266,8 @@ class MotionConfig(Section, frozen=True):
     """Height of the TCP above an onion's centre before and after grasping [m]."""
     clearance: NotNegative
     """Least distance kept between the arm and the cell's fixed parts when planning [m]."""
+    longest_braking: Positive = 0.35
+    """No joint is planned to move faster than it can be braked from within this time [s]."""
 
 
 class SupervisorConfig(Section, frozen=True):

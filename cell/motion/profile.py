@@ -19,7 +19,7 @@ import numpy as np
 
 from cell.errors import PlanError
 from cell.frames import Array
-from cell.limits import QD_MAX, tcp_jacobian
+from cell.limits import tcp_jacobian
 from cell.motion.paths import JointPath
 
 _EPS = 1e-9
@@ -53,7 +53,9 @@ class Rows:
         return float((middle - self._half[i]).max()), float((middle + self._half[i]).min())
 
 
-def speed_bound(path: JointPath, grid: Array, tcp_speed: float, scale: float, gripper_length: float) -> Array:
+def speed_bound(
+    path: JointPath, grid: Array, tcp_speed: float, qd_max: Array, gripper_length: float
+) -> Array:
     """Largest x at each node by joint speeds and tool speed, shape (N + 1,).
 
     The limits are looked at half way between the nodes, too, where a wrist that turns about the tool
@@ -61,21 +63,21 @@ def speed_bound(path: JointPath, grid: Array, tcp_speed: float, scale: float, gr
     its neighbours' half-way values.
 
     Args:
-        tcp_speed: [m/s]. scale: fraction of the joint speed limits to use.
+        tcp_speed: [m/s]. qd_max: joint speeds, shape (6,) [rad/s].
     """
     fine = np.empty(2 * len(grid) - 1)
     fine[::2], fine[1::2] = grid, 0.5 * (grid[:-1] + grid[1:])
-    at = _bound(path, fine, tcp_speed, scale, gripper_length)
+    at = _bound(path, fine, tcp_speed, qd_max, gripper_length)
     out = at[::2].copy()
     out[:-1] = np.minimum(out[:-1], at[1::2])
     out[1:] = np.minimum(out[1:], at[1::2])
     return out
 
 
-def _bound(path: JointPath, grid: Array, tcp_speed: float, scale: float, gripper_length: float) -> Array:
+def _bound(path: JointPath, grid: Array, tcp_speed: float, qd_max: Array, gripper_length: float) -> Array:
     """Largest x at given places (M,); see `speed_bound`."""
     q, dq = path(grid), path(grid, 1)
-    joints = (scale * QD_MAX / np.maximum(np.abs(dq), _EPS)).min(axis=1) ** 2
+    joints = (qd_max / np.maximum(np.abs(dq), _EPS)).min(axis=1) ** 2
     dp = np.einsum("nij,nj->ni", tcp_jacobian(q, gripper_length), dq)
     tool = (tcp_speed / np.maximum(np.linalg.norm(dp, axis=1), _EPS)) ** 2
     out: Array = np.clip(np.minimum(joints, tool), 1e-9, 1e6)

@@ -9,6 +9,7 @@ import numpy as np
 
 from cell.config import CellConfig
 from cell.frames import Array
+from cell.limits import QD_MAX
 from cell.motion.paths import JointPath
 from cell.motion.profile import fastest, speed_bound
 
@@ -94,8 +95,8 @@ def time_path(path: JointPath, speed_cap: float, config: CellConfig) -> TimedPat
 def profile(path: JointPath, grid: Array, speed_cap: float, config: CellConfig, *, x0: float) -> Array:
     """x at the nodes of `grid` (N + 1,) for the fastest motion from x0 to rest; see `fastest`."""
     motion, arm = config.motion, config.arm
-    bound = speed_bound(
-        path, grid, motion.speed_margin * speed_cap, arm.velocity_scale, config.gripper.length
-    )
     limit = motion.acceleration_margin * arm.max_acceleration
+    # What a joint does for the tool may grow while it is braked; so none may need long for that.
+    qd_max = np.minimum(arm.velocity_scale * QD_MAX, limit * motion.longest_braking)
+    bound = speed_bound(path, grid, motion.speed_margin * speed_cap, qd_max, config.gripper.length)
     return fastest(path, grid, bound, limit, arm.max_acceleration, x0)

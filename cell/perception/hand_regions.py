@@ -17,6 +17,8 @@ from cell.frames import Array
 _TIP = 0.08
 """A hand reaches this far back from its foremost point [m]."""
 _LEAST_POINTS = 6
+_LOW = 0.45
+"""So high over the belt a head may be that bends over it; the foremost lower point is a hand's [m]."""
 _SIDE = 0.75
 """Half the width of the place in which the person works [m]."""
 _TRUNK, _SHOULDERS = 0.18, 0.55
@@ -50,9 +52,11 @@ def hand_regions(p_WP: Array, config: CellConfig) -> tuple[Region, ...]:
         return ()
     camera = camera_pose(config.cameras["person"])[:3, 3]
     found: list[Region] = []
-    for measure in (arms[:, 0], np.linalg.norm(arms - camera, axis=1)):
-        foremost = arms[np.argsort(measure, kind="stable")[_LEAST_POINTS // 2]]
-        _add(found, arms[np.linalg.norm(arms - foremost, axis=1) < _TIP])
+    low = np.where(arms[:, 2] < config.belt.top_z + _LOW, arms[:, 0], np.inf)
+    for measure in (arms[:, 0], low, np.linalg.norm(arms - camera, axis=1)):
+        at = np.argsort(measure, kind="stable")[_LEAST_POINTS // 2]
+        if np.isfinite(measure[at]):
+            _add(found, arms[np.linalg.norm(arms - arms[at], axis=1) < _TIP])
     b = config.person.bin
     over = (np.abs(p[:, :2] - b.center[:2]) < np.array(b.size[:2]) / 2 + _BESIDE).all(axis=1)
     _add(found, p[over & (p[:, 2] < b.center[2] + _OVER)])

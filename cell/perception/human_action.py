@@ -27,8 +27,18 @@ _AWAY = 0.28
 """A trunk this far behind the working place is away [m]."""
 _MOVING = 0.15
 """Faster than this the hand is on its way [m/s]."""
-_STILL, _LET_GO = 0.08, 2
+_STILL, _LET_GO = 0.08, 1
 """A hand slower than this [m/s] in so many frames has let go of what it put down."""
+_RESTS, _BEFORE_EYES = 2, 0.28
+"""A hand that rests for so many frames, so high over the belt [m], looks at an onion."""
+_LAST_GLIMPSE = 0.15
+"""A sign is over when it was not seen for so long [s]."""
+_HEAD = 0.47
+"""What is so high over the belt is no working hand, but the head of somebody who bends over it [m]."""
+_GRASPS = 0.2
+"""A hand that was never slower than this at the belt took nothing [m/s]."""
+_OTHER_SIDE = 0.08
+"""A raised empty hand this far on the other side than the one that works makes a sign, or just did [m]."""
 _OVER_BELT, _EDGE, _SETS_OUT = 0.085, 0.03, 0.10
 """An empty hand this far over the belt [m] reaches for something, and so does one nearer to the edge
 that moves inwards this fast [m/s]."""
@@ -72,6 +82,8 @@ class HumanActions:
         self._was_low = self._left = self._was_at_bin = False
         self._rests = 0
         self._t = self._took = 0.0
+        self._glimpsed, self._slowest = -1.0, np.inf
+        self._side = 0.0
         self._hanging_since: float | None = None
         self._last: tuple[float, Array] | None = None
         self._eyes = self._carrier = np.zeros(3)
@@ -94,7 +106,9 @@ class HumanActions:
             self.busy = False  # nobody looks at an onion for so long: its end was not seen
         if view.problem:
             return Action.NO_OP, 0.0
-        if view.sign is not Gesture.NONE:
+        if view.glimpse is not Gesture.NONE and view.glimpse is view.sign:
+            self._glimpsed = view.t
+        if view.sign is not Gesture.NONE and view.t - self._glimpsed < _LAST_GLIMPSE:
             self.busy = self._was_low = False
             return (Action.SPEED_UP if view.sign is Gesture.UP else Action.SLOW_DOWN), _SURE
         if self._away(view):
@@ -106,7 +120,19 @@ class HumanActions:
         self._hanging_since = None
         self._carrier = hand.p_W
         velocity = self._velocity(view.t, hand.p_W)
-        return self._by_place(hand.p_W, velocity)
+        action, confidence = self._by_place(hand.p_W, velocity)
+        if self._raises_other(hand.p_W, action):
+            return Action.NO_OP, _LIKELY
+        return action, confidence
+
+    def _raises_other(self, p: Array, action: Action) -> bool:
+        """Whether the hand (3,) [m] is the other one, held up empty as for a sign."""
+        aside = float(p[1] - self._config.person.station[1])
+        if action in (Action.PICK, Action.INSPECT) and self.busy:
+            self._side = float(np.sign(aside))
+        height = self._config.belt.top_z + self._config.gestures.height
+        up = p[2] > height and p[0] > self._config.belt.x[1] - _OVER_BELT
+        return action is Action.DETECT and up and aside * self._side < -_OTHER_SIDE
 
     def _by_place(self, p: Array, v: Array) -> tuple[Action, float]:
         belt, strip = self._config.belt, self._config.person.sorted_x
@@ -125,12 +151,15 @@ class HumanActions:
             self._was_low = False
             if self.reading.action is Action.PLACE_ON_CONVEYOR:
                 self._put_down()
-            elif self.reading.action is Action.PICK:
+                self._left = True
+            elif self.reading.action is Action.PICK and self._slowest < _GRASPS:
                 self.busy, self._took = True, self._t
         return self._raised(p, v, speed)
 
     def _low(self, p: Array, v: Array, strip: float) -> tuple[Action, float]:
         """The hand is at the belt: it takes or puts down."""
+        speed = float(np.linalg.norm(v))
+        self._slowest = min(self._slowest, speed) if self._was_low else speed
         self._was_low = True
         before = self.reading.action
         if before is Action.PLACE_ON_CONVEYOR or (self.busy and p[0] > strip - 0.07):
@@ -151,6 +180,12 @@ class HumanActions:
             reaching = over or (p[0] < edge - _EDGE and v[0] < -_SETS_OUT)
             return (Action.PICK, _GUESS) if reaching and not self._left else self._empty()
         if before in (Action.PLACE_IN_BIN, Action.PLACE_ON_CONVEYOR):
+            if self._rests >= _RESTS:
+                if p[2] > self._config.belt.top_z + _BEFORE_EYES:
+                    self._eyes = p
+                    return Action.INSPECT, _GUESS
+                self._put_down()  # it must have happened unseen
+                return self._empty()
             if self._t - self.reading.began < _PLACING:
                 return before, _GUESS
             self._put_down()  # it must have happened unseen
@@ -211,15 +246,17 @@ class HumanActions:
 
     def _working_hand(self, view: PersonView) -> Region | None:
         """The end of the arm that reaches farthest towards the robot, or a hand at the bin."""
-        if not view.regions:
+        ceiling = self._config.belt.top_z + _HEAD
+        regions = [r for r in view.regions if r.p_W[2] < ceiling]
+        if not regions:
             return None
         if self.busy:  # that which holds the onion, whatever the other one does
-            nearest = min(view.regions, key=lambda r: float(np.linalg.norm(r.p_W - self._carrier)))
-            if np.linalg.norm(nearest.p_W - self._carrier) < _SAME_HAND:
-                return nearest
-        foremost = min(view.regions, key=lambda r: float(r.p_W[0]))
+            nearest = min(regions, key=lambda r: float(np.linalg.norm(r.p_W - self._carrier)))
+            same = np.linalg.norm(nearest.p_W - self._carrier) < _SAME_HAND
+            return nearest if same else None
+        foremost = min(regions, key=lambda r: float(r.p_W[0]))
         if foremost.p_W[0] > self._config.belt.x[1] - _OVER_BELT / 2:
-            for region in view.regions:
+            for region in regions:
                 if self._at_bin(region.p_W):
                     return region
         return foremost

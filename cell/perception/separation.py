@@ -23,8 +23,10 @@ _MARGIN = (0.015, 0.006)
 """What stands out from the empty cell: so much [m], and so much per squared metre of depth [1/m]."""
 _ARM_MARGIN = 0.025
 """Points this near to the arm are taken for the arm [m]."""
-_SUPPORT = 4
-"""A foreground pixel counts if so many of its 9 are foreground at a similar depth."""
+_SUPPORT = 2
+"""A foreground pixel counts if so many of its 9 are foreground: a finger may be one pixel wide."""
+_TOUCH = 0.03
+"""What is taken for the arm may be a hand where it is beside the person and as far away, within this [m]."""
 _LOW = 0.11
 """Below this height over the belt something may be produce [m]."""
 _VOXEL = 0.015
@@ -39,6 +41,8 @@ _HIDDEN_BY = 0.03
 _NEAREST = 500
 """So many points, the nearest to the arm, are kept for distances to the moving arm."""
 _RANGE = 4.0
+_THICKNESS = 0.06
+"""A camera sees one side of a hand: behind each point there may be so much more of it [m]."""
 
 
 @dataclass(frozen=True)
@@ -50,21 +54,27 @@ class Cloud:
         p_WP: points of the person, shape (M, 3) [m]; those of them nearest to the arm come first.
         seen_at: when each point was last seen, shape (M,) [s].
         share: of the pixels that had a depth reading.
+        eye: the camera (3,) [m]; None: all sides of the person are seen.
     """
 
     t: float
     p_WP: Array
     seen_at: Array
     share: float
+    eye: Array | None = None
 
     def distance(self, spheres: Array) -> tuple[float, Array]:
         """Least distance [m] to spheres (S, 4) (centre, radius) and the point (3,) it is to.
 
-        Infinity and the origin when nobody is seen.
+        Points count with what may be behind them. Infinity and the origin when nobody is seen.
         """
         if not len(self.p_WP):
             return float("inf"), np.zeros(3)
         near = self.p_WP[:_NEAREST]
+        if self.eye is not None:
+            rays = near - self.eye
+            behind = near + _THICKNESS / np.linalg.norm(rays, axis=1, keepdims=True) * rays
+            near = np.concatenate([near, behind])
         gaps = _gaps(near, spheres)
         at = int(np.argmin(gaps))
         return float(gaps[at]), near[at]
@@ -104,6 +114,7 @@ class Separation:
         is_arm = gaps < _ARM_MARGIN
         person = _mask(~is_arm)
         person[person] = self._not_produce(p[person], onions)
+        person |= self._touching(depth, rows, columns, is_arm, person)
         points, gaps, seen = p[person], gaps[person], np.full(int(person.sum()), frame.t)
         if self._last is not None and len(self._last.p_WP):
             hidden = self._hidden(depth, rows[is_arm], columns[is_arm], frame.t)
@@ -112,8 +123,30 @@ class Separation:
             gaps = np.concatenate([gaps, _gaps(remembered, arm)])
             seen = np.concatenate([seen, self._last.seen_at[hidden]])
         order = np.argsort(gaps, kind="stable")
-        self._last = Cloud(frame.t, points[order], seen[order], share)
+        self._last = Cloud(frame.t, points[order], seen[order], share, self.scene.p_WC)
         return self._last
+
+    def _touching(
+        self,
+        depth: NDArray[np.float32],
+        rows: NDArray[np.intp],
+        columns: NDArray[np.intp],
+        is_arm: NDArray[np.bool_],
+        person: NDArray[np.bool_],
+    ) -> NDArray[np.bool_]:
+        """Which pixels that are taken for the arm are seen in touch with the person.
+
+        A hand so near to the arm that its points are within the margin would else be cut off at the
+        wrist, and seem farther away the nearer it comes.
+        """
+        near = np.zeros(depth.shape, np.float32)
+        near[rows[person], columns[person]] = depth[rows[person], columns[person]]
+        far = np.where(near > 0.0, near, np.float32(np.inf))
+        kernel = np.ones((3, 3), np.uint8)
+        most, least = np.asarray(cv2.dilate(near, kernel)), np.asarray(cv2.erode(far, kernel))
+        z = depth[rows, columns]
+        beside = (most[rows, columns] > z - _TOUCH) & (least[rows, columns] < z + _TOUCH)
+        return np.asarray(is_arm & beside)
 
     def _foreground(self, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
         """What stands before the empty cell and is no single stray pixel."""

@@ -90,9 +90,7 @@ def summary(console: Console, result: RoundResult) -> None:
         ("sorted", f"{result.sorted} of {result.onions}"),
         (
             "misplaced / dropped",
-            "not known"
-            if result.dropped is None
-            else f"{result.misplaced}{_own(result)} / {result.dropped}",
+            "not known" if result.dropped is None else f"{result.misplaced}{_own(result)} / {result.dropped}",
         ),
         (
             "sort time",
