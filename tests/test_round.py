@@ -52,6 +52,7 @@ OURS = {
     "misses": list,
     "yields": int,
     "person_contacts": int,
+    "misplaced_by_human": int,
 }
 SEED = 1
 
