@@ -123,7 +123,8 @@ class CamerasApart:
         self._process: subprocess.Popen[bytes] | None = None
         self._words: deque[str] = deque(maxlen=_NEWS_KEPT)
         self._dead: set[str] = set()
-        self._ready = threading.Event()
+        self._answered = threading.Event()
+        self._ready = False
 
     def connect(self) -> None:
         settings = {
@@ -139,7 +140,7 @@ class CamerasApart:
         )
         threading.Thread(target=self._listen, args=(process,), name="cameras", daemon=True).start()
         self._tell(json.dumps(settings))
-        if not self._ready.wait(_START) or process.poll() is not None:
+        if not self._answered.wait(_START) or not self._ready:
             words = self.news()
             self.close()
             raise BackendError(words[-1] if words else f"the cameras did not start within {_START:g} s")
@@ -191,17 +192,18 @@ class CamerasApart:
         for line in process.stdout:
             text = line.decode("utf-8", "replace").strip()
             if text == "ready":
-                self._ready.set()
+                self._ready = True
+                self._answered.set()
             elif text.startswith("gone "):
                 _, name, why = text.split(" ", 2)
                 self._dead.add(name)
                 self._words.append(f"camera {name} is gone: {why}")
             else:
                 self._words.append(text)
-        if self._ready.is_set() and self._process is process:
+        if self._ready and self._process is process:
             self._dead.update(self._config.cameras)
             self._words.append("the cameras' process ended: no camera is there any more")
-        self._ready.set()
+        self._answered.set()
 
 
 def gone(name: str) -> BackendError:

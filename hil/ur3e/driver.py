@@ -33,7 +33,8 @@ class Driver:
         self._config, self._robot_ip, self._clock = config, robot_ip, clock
         self._process: subprocess.Popen[bytes] | None = None
         self._news: deque[str] = deque(maxlen=_NEWS_KEPT)
-        self._ready = threading.Event()
+        self._answered = threading.Event()
+        self._ready = False
         self._order = Order()
         self._orders: Orders | None = None
         self._measurements: Measurements | None = None
@@ -74,7 +75,7 @@ class Driver:
         with suppress(BrokenPipeError):
             process.stdin.write(json.dumps(settings).encode() + b"\n")
             process.stdin.flush()
-        if not self._ready.wait(_START) or process.poll() is not None:
+        if not self._answered.wait(_START) or not self._ready:
             self.close()
             words = [text for text in self.news() if text]
             raise BackendError(words[-1] if words else f"the arm's driver did not start within {_START:g} s")
@@ -139,10 +140,11 @@ class Driver:
         for line in process.stdout:
             text = line.decode("utf-8", "replace").strip()
             if text == "ready":
-                self._ready.set()
+                self._ready = True
+                self._answered.set()
             else:
                 self._news.append(text)
-        self._ready.set()
+        self._answered.set()
 
 
 def _six(values: Array) -> Six:
