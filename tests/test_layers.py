@@ -11,6 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 BASE = {
     "cell.wire",
+    "cell.child",
     "cell.clock",
     "cell.frames",
     "cell.config",

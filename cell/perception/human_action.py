@@ -121,18 +121,18 @@ class HumanActions:
         self._carrier = hand.p_W
         velocity = self._velocity(view.t, hand.p_W)
         action, confidence = self._by_place(hand.p_W, velocity)
-        if self._raises_other(hand.p_W, action):
+        aside = float(hand.p_W[1] - self._config.person.station[1])
+        if action in (Action.PICK, Action.INSPECT) and self.busy:
+            self._side = float(np.sign(aside))
+        if action is Action.DETECT and self._raised_as_for_a_sign(hand.p_W, aside):
             return Action.NO_OP, _LIKELY
         return action, confidence
 
-    def _raises_other(self, p: Array, action: Action) -> bool:
-        """Whether the hand (3,) [m] is the other one, held up empty as for a sign."""
-        aside = float(p[1] - self._config.person.station[1])
-        if action in (Action.PICK, Action.INSPECT) and self.busy:
-            self._side = float(np.sign(aside))
+    def _raised_as_for_a_sign(self, p: Array, aside: float) -> bool:
+        """Whether an empty hand (3,) [m] is the other one, held up; `aside`: how far to one side it is."""
         height = self._config.belt.top_z + self._config.gestures.height
         up = p[2] > height and p[0] > self._config.belt.x[1] - _OVER_BELT
-        return action is Action.DETECT and up and aside * self._side < -_OTHER_SIDE
+        return bool(up and aside * self._side < -_OTHER_SIDE)
 
     def _by_place(self, p: Array, v: Array) -> tuple[Action, float]:
         belt, strip = self._config.belt, self._config.person.sorted_x

@@ -10,6 +10,7 @@ import threading
 from types import TracebackType
 from typing import Self
 
+from cell.child import end_child
 from cell.config import CellConfig, to_dict
 from cell.errors import CellError, WireError
 
@@ -84,14 +85,7 @@ class NodeProcess:
 
     def close(self) -> None:
         """Close the node's standard input and wait for its end; kill it if it does not come."""
-        if self._process.stdin is not None:
-            with contextlib.suppress(OSError):
-                self._process.stdin.close()
-        try:
-            self._process.wait(_END_TIME)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        end_child(self._process, _END_TIME)
 
     def __enter__(self) -> Self:
         return self

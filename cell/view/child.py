@@ -11,6 +11,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
+from cell.child import end_child
 from cell.config import CellConfig, to_dict
 from cell.errors import CellError
 
@@ -66,14 +67,7 @@ class ViewProcess:
 
     def close(self) -> None:
         """Close its standard input and wait for its end; kill it if it does not come."""
-        if self._process.stdin is not None:
-            with contextlib.suppress(OSError):
-                self._process.stdin.close()
-        try:
-            self._process.wait(_END)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        end_child(self._process, _END)
 
     def __enter__(self) -> Self:
         return self

@@ -17,6 +17,7 @@ from dataclasses import replace
 from typing import Protocol
 
 from cell.cameras import camera_pinhole
+from cell.child import end_child
 from cell.clock import WallClock
 from cell.config import CellConfig, to_dict
 from cell.errors import BackendError, CellError, one_of
@@ -170,15 +171,8 @@ class CamerasApart:
 
     def close(self) -> None:
         process, self._process = self._process, None
-        if process is None or process.stdin is None:
-            return
-        with suppress(OSError):
-            process.stdin.close()
-        try:
-            process.wait(_END)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        if process is not None:
+            end_child(process, _END)
 
     def _tell(self, line: str) -> None:
         assert self._process is not None and self._process.stdin is not None

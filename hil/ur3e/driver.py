@@ -10,6 +10,7 @@ import threading
 from collections import deque
 from contextlib import suppress
 
+from cell.child import end_child
 from cell.clock import WallClock
 from cell.config import CellConfig
 from cell.errors import BackendError
@@ -119,16 +120,8 @@ class Driver:
 
     def close(self) -> None:
         """Brake, end the control program and the process."""
-        process = self._process
-        if process is None or process.stdin is None:
-            return
-        with suppress(OSError):
-            process.stdin.close()
-        try:
-            process.wait(_END)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        if self._process is not None:
+            end_child(self._process, _END)
 
     def _write(self, order: Order) -> None:
         self._order = order
