@@ -267,7 +267,9 @@ class MotionConfig(Section, frozen=True):
     clearance: NotNegative
     """Least distance kept between the arm and the cell's fixed parts when planning [m]."""
     longest_braking: Positive = 0.35
-    """No joint is planned to move faster than it can be braked from within this time [s]."""
+    """Under the collaborative cap every joint can be braked to rest within this time [s]."""
+    late_braking: Positive = 0.15
+    """Under higher caps, within this time from when a person walking up has ended industrial mode [s]."""
 
 
 class SupervisorConfig(Section, frozen=True):

@@ -262,13 +262,26 @@ def test_isolate_keeps_what_is_at_the_hand() -> None:
     depth[40:60, 100:130] = 0.0  # seen at a grazing angle
     depth[0:10] = 0.3  # something in front
     rgb = np.full((100, 200, 3), 7, np.uint8)
-    kept = isolate(rgb, depth, [0.85])[..., 0] == 7
+    kept = isolate(rgb, depth, [0.85], 500.0)[..., 0] == 7
     assert kept[20:80, 80:160].all()
     assert not kept[12:16].any() and not kept[0:10].any() and not kept[:, 165:].any()
     assert not kept[25:75, 50:76].any()
     assert kept[25:75, 78:80].all()  # the rim may still be the hand's
-    both = isolate(rgb, depth, [0.85, 2.0])[..., 0] == 7
+    both = isolate(rgb, depth, [0.85, 2.0], 500.0)[..., 0] == 7
     assert both[12:].all() and not both[0:5].any()
+
+
+def test_isolate_keeps_a_hand_in_the_shadow_of_something_nearer() -> None:
+    """A body (0.4 m) hides a part of a hand (0.8 m) from the second imager; behind is a wall (2 m)."""
+    depth = np.full((100, 200), 2.0, np.float32)
+    depth[30:50, 80:100] = 0.8
+    depth[:, 120:] = 0.4
+    depth[30:70, 100:120] = 0.0  # the rest of the hand, and some wall
+    depth[50:70, 80:100] = 0.0  # a thumb that points down
+    rgb = np.full((100, 200, 3), 7, np.uint8)
+    kept = isolate(rgb, depth, [0.85], 200.0)[..., 0] == 7
+    assert kept[30:70, 80:118].all()
+    assert not kept[:, 124:].any() and not kept[:, :70].any() and not kept[80:].any()
 
 
 # -- the networks --------------------------------------------------------------------------------

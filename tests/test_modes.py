@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cell.config import CellConfig, load
 from cell.decision.modes import NOBODY, ModeState, Permit, PermitKeeper, Sensed, decide
-from cell.decision.ssm import allowed_speed, protective_separation
+from cell.motion.ssm import allowed_speed, protective_separation
 from cell.wire.vocabulary import SIGNALS, Mode, RobotType
 
 CAMERA = 0.1

@@ -81,10 +81,10 @@ class Watcher:
 
     def _look(self, view: View, roi: Roi, distance: float) -> Glance:
         start = perf_s()
-        hands = self._tracker.update(isolate(view.rgb, view.depth, [distance]), [roi])
+        hands = self._tracker.update(isolate(view.rgb, view.depth, [distance], self._pinhole.fx), [roi])
         reading = None
         if hands:
-            palm = locate_palm(hands[0], view.depth, self._pinhole)
+            palm = locate_palm(hands[0], view.depth, self._pinhole, distance)
             if palm is not None and palm.plausible:
                 reading = classify(hands[0], up_C=view.up_C)
         ms = 1e3 * (perf_s() - start)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from cell.config import CellConfig
 from cell.decision.operator import Operator
-from cell.decision.ssm import allowed_speed
+from cell.motion.ssm import allowed_speed
 from cell.settings import MotionConfig
 from cell.wire.vocabulary import Mode, RobotType
 

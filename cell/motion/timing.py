@@ -12,6 +12,7 @@ from cell.frames import Array
 from cell.limits import QD_MAX
 from cell.motion.paths import JointPath
 from cell.motion.profile import fastest, speed_bound
+from cell.motion.ssm import protective_separation
 
 _SEGMENTS, _SEGMENTS_PER_PIECE = 200, 10
 """Segments of a grid: at least so many, and so many per piece of the path's spline."""
@@ -92,11 +93,24 @@ def time_path(path: JointPath, speed_cap: float, config: CellConfig) -> TimedPat
     return TimedPath(path, grid, profile(path, grid, speed_cap, config, x0=0.0))
 
 
+def longest_braking(speed_cap: float, config: CellConfig) -> float:
+    """Within which time every joint must be able to come to rest under a TCP speed cap [s].
+
+    What a joint does for the tool may grow while it is braked, so that the tool is slow for good only
+    when the joints are. Above the collaborative speed the cap says how far away a person is (S_p, ISO/TS
+    15066, 5.5.4); who walks from there needs a while to come so near that industrial mode ends.
+    """
+    motion, separation = config.motion, config.separation
+    if speed_cap <= motion.collaborative_speed:
+        return motion.longest_braking  # a stop may follow, but no lower cap
+    walk = (protective_separation(speed_cap, separation) - separation.permit) / separation.human_speed
+    return motion.late_braking + max(0.0, walk)
+
+
 def profile(path: JointPath, grid: Array, speed_cap: float, config: CellConfig, *, x0: float) -> Array:
     """x at the nodes of `grid` (N + 1,) for the fastest motion from x0 to rest; see `fastest`."""
     motion, arm = config.motion, config.arm
     limit = motion.acceleration_margin * arm.max_acceleration
-    # What a joint does for the tool may grow while it is braked; so none may need long for that.
-    qd_max = np.minimum(arm.velocity_scale * QD_MAX, limit * motion.longest_braking)
+    qd_max = np.minimum(arm.velocity_scale * QD_MAX, limit * longest_braking(speed_cap, config))
     bound = speed_bound(path, grid, motion.speed_margin * speed_cap, qd_max, config.gripper.length)
     return fastest(path, grid, bound, limit, arm.max_acceleration, x0)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cell.config import CellConfig
 from cell.frames import Array
 from cell.perception.hand_regions import Region, hand_regions
-from cell.perception.hands.depth import locate_palm
+from cell.perception.hands.depth import isolate, locate_palm
 from cell.perception.hands.gesture import Gesture, classify
 from cell.perception.hands.landmarks import Hand
 from cell.perception.hands.roi import Roi
@@ -122,16 +122,20 @@ class PersonEye:
             return Hands(frame.t, frame.camera, ()), Gesture.NONE
         scene = self._separation.scene
         self._idle += 1
-        found = self._finder.update(frame.rgb, [self._roi(r) for r in raised])
+        rois = [self._roi(r) for r in raised]
+        away = [self._distance(r) for r in raised]
+        found = self._finder.update(isolate(frame.rgb, frame.depth, away, scene.pinhole.fx), rois)
         if found:
             self._idle = 0
         hands, signs = [], set()
         for hand in found:
-            palm = locate_palm(hand, frame.depth, scene.pinhole)
+            middle = hand.landmarks.mean(axis=0)
+            nearest = min(range(len(rois)), key=lambda i: np.hypot(*(middle - (rois[i].u, rois[i].v))))
+            palm = locate_palm(hand, frame.depth, scene.pinhole, away[nearest])
             if palm is None or not palm.plausible:
                 continue
             p_WH = scene.X_WC[:3, :3] @ palm.p_CP + scene.p_WC
-            reading = classify(hand)
+            reading = classify(hand, up_C=scene.X_WC[2, :3])
             if reading.gesture is not Gesture.NONE and self._in_zone(p_WH):
                 signs.add(reading.gesture)
             x, y, z = (float(v) for v in p_WH)
@@ -141,6 +145,11 @@ class PersonEye:
 
     def _in_zone(self, p_WH: Array) -> bool:
         return bool(p_WH[2] >= self._config.belt.top_z + self._config.gestures.height)
+
+    def _distance(self, region: Region) -> float:
+        """Of a region along the optical axis [m]."""
+        scene = self._separation.scene
+        return float(scene.X_WC[:3, 2] @ (region.p_W - scene.p_WC))
 
     def _roi(self, region: Region) -> Roi:
         """The square of the image round a region."""

@@ -41,8 +41,9 @@ _HIDDEN_BY = 0.03
 _NEAREST = 500
 """So many points, the nearest to the arm, are kept for distances to the moving arm."""
 _RANGE = 4.0
-_THICKNESS = 0.06
-"""A camera sees one side of a hand: behind each point there may be so much more of it [m]."""
+_THICKNESS, _TRUNK, _FAR = 0.06, 0.10, 0.5
+"""A camera sees one side of a person: behind each point there may be so much more of a hand [m], and so
+much of a trunk, which is nearest where the arm is farther away than a hand's reach [m]."""
 
 
 @dataclass(frozen=True)
@@ -71,11 +72,13 @@ class Cloud:
         if not len(self.p_WP):
             return float("inf"), np.zeros(3)
         near = self.p_WP[:_NEAREST]
+        gaps = _gaps(near, spheres)
         if self.eye is not None:
             rays = near - self.eye
-            behind = near + _THICKNESS / np.linalg.norm(rays, axis=1, keepdims=True) * rays
+            thickness = np.where(gaps < _FAR, _THICKNESS, _TRUNK)
+            behind = near + (thickness / np.linalg.norm(rays, axis=1))[:, None] * rays
             near = np.concatenate([near, behind])
-        gaps = _gaps(near, spheres)
+            gaps = np.concatenate([gaps, _gaps(behind, spheres)])
         at = int(np.argmin(gaps))
         return float(gaps[at]), near[at]
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.config import CellConfig
-from cell.decision.ssm import allowed_speed
 from cell.frames import Array
+from cell.motion.ssm import allowed_speed
 from cell.trials.log import SIGNS, Log, segments
 from cell.wire.vocabulary import Action, Mode
 

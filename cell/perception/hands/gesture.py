@@ -55,7 +55,7 @@ class GestureRule:
     tilt: float = -1.26
     knuckles: float = -2.99
     margin: float = 3.03
-    threshold: float = 0.6
+    threshold: float = 0.5
     most_curl: float = 1.6
     most_tilt: float = np.deg2rad(60.0)
     most_knuckles: float = np.deg2rad(75.0)
