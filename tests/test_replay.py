@@ -39,8 +39,8 @@ from tests.test_codec import examples as wire_examples
 
 DATA = Path(__file__).parent / "data"
 ALONE, BESIDE = DATA / "alone.mcap", DATA / "beside-person.mcap"
-ALONE_TICKS, BESIDE_TICKS = 149, 240
-INSPECTED = 103
+ALONE_TICKS, BESIDE_TICKS = 150, 240
+INSPECTED = 102
 """Tick of `ALONE` at which the onion in the hand is judged."""
 RNG = np.random.default_rng(7)
 
