@@ -54,6 +54,7 @@ class Cause(IntEnum):
     SERVO = 6
     RELEASED = 7
     UPLOAD = 8
+    HELD_UP = 9
 
 
 _CAUSES = {
@@ -65,6 +66,7 @@ _CAUSES = {
     Cause.IMPLAUSIBLE: "implausible set-point: the driver refused it and braked",
     Cause.SERVO: "servo refused: the control program did not take a set-point",
     Cause.RELEASED: "not armed: the arm was let go",
+    Cause.HELD_UP: "driver held up: it was kept from sending set-points for too long, and braked",
     Cause.UPLOAD: "program not started: the controller did not run the control program",
 }
 

@@ -7,6 +7,7 @@ of the arm, says why, and follows nothing until it is deliberately armed with a 
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 from collections.abc import Callable
@@ -35,7 +36,7 @@ class ServoLoop:
 
     Args:
         link: connected. stop_program: ends a program that `link` cannot end, because it is paused.
-        patience: set-points may be overdue for so long [s].
+        patience: set-points may be overdue, and the arm behind them, for so long [s].
         q_max, qd_max: limits of the joints [rad], [rad/s].
         say: told what people should know.
     """
@@ -124,16 +125,18 @@ class ServoLoop:
         cause, why = self._trouble(self._packet, now)
         if cause is Cause.NONE and self._following:
             try:
-                taken = self._link.servo(self._points.at(now))
+                taken = self._link.servo(self._points.play(now, PERIOD))
             except RuntimeError as error:
                 cause, why = Cause.DISCONNECTED, str(error)
             else:
                 # a program that is just ending refuses, too: the next packets tell which it is
                 self._refused = 0 if taken else self._refused + 1
                 cause = Cause.SERVO if self._refused > _REFUSALS else Cause.NONE
-        elif cause is Cause.NONE and self._cycles % _KICK_CYCLES == 0:
-            with suppress(RuntimeError):
-                self._link.kick()
+        elif cause is Cause.NONE:
+            self._points.played = -math.inf
+            if self._cycles % _KICK_CYCLES == 0:
+                with suppress(RuntimeError):
+                    self._link.kick()
         if cause is not Cause.NONE:
             self._let_go(cause, why)
 
@@ -150,6 +153,8 @@ class ServoLoop:
             return Cause.PROGRAM, ""
         if self._following and now - self._points.newest > self._patience:
             return Cause.STARVED, f"the last set-point was due {(now - self._points.newest) * 1e3:.0f} ms ago"
+        if self._following and now - self._points.played > self._patience and self._points.played > 0.0:
+            return Cause.HELD_UP, f"the arm is {(now - self._points.played) * 1e3:.0f} ms behind"
         return Cause.NONE, ""
 
     def _let_go(self, cause: Cause, why: str) -> None:

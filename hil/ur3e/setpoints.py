@@ -20,7 +20,9 @@ _START_TOLERANCE = 0.02
 _SPEED_TOLERANCE = 1.1
 _SLACK = 2e-3
 """For rounding and for braking on the path [rad]."""
-_KEPT = 6
+CATCH_UP = 1.1
+"""How much faster than ordered the arm moves while it makes up for cycles that the driver missed."""
+_KEPT = 8
 """Set-points that are remembered: those still to be played, also after a burst."""
 
 
@@ -32,6 +34,7 @@ class SetPoints:
 
     Attributes:
         newest: when the newest is to be reached [s]; -infinity before the first.
+        played: for which time set-points were last asked for by `play` [s]; -infinity before that.
     """
 
     def __init__(self, q_max: Six, qd_max: Six) -> None:
@@ -40,7 +43,7 @@ class SetPoints:
 
     def clear(self) -> None:
         """Forget all: the next one is a first one."""
-        self.newest = -math.inf
+        self.newest = self.played = -math.inf
         self._points: deque[tuple[float, Six, Six]] = deque(maxlen=_KEPT)
 
     def push(self, t: float, q: Six, qd: Six, measured: Six) -> str:
@@ -71,6 +74,15 @@ class SetPoints:
         self.newest = t
         self._points.append((t, q, qd))
         return ""
+
+    def play(self, now: float, period: float) -> Six:
+        """Joints [rad] to send in the cycle at `now` [s], `period` [s] after the last if none was missed.
+
+        After missed cycles the arm does not jump to where it should be: it catches up, a little faster.
+        """
+        late = self.played + CATCH_UP * period
+        self.played = min(now, late) if self.played > -math.inf else now
+        return self.at(self.played)
 
     def at(self, t: float) -> Six:
         """Joints [rad] at `t` [s]; raises ValueError before the first set-point."""

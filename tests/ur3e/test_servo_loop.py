@@ -76,6 +76,35 @@ def test_set_points_that_stop_coming_brake_the_arm() -> None:
     assert any("starved" in text for text in bench.said)
 
 
+def test_after_missed_cycles_the_arm_catches_up_slowly() -> None:
+    """12 ms without the driver: no set-point jumps, and in the end the arm is where it should be."""
+    bench = Bench()
+    bench.arm()
+    for k in range(100):
+        bench.follow(tuple(x + 0.4 * 0.008 * (k + 1) for x in HOME), (0.4,) * 6)  # type: ignore[arg-type]
+        for cycle in range(4):
+            if k in (25, 26) and cycle > 0:
+                bench.clock.advance()
+            else:
+                bench.cycles(1)
+    steps = [b[0] - a[0] for a, b in zip(bench.link.servos, bench.link.servos[1:], strict=False)]
+    assert max(steps) < 1.15 * 0.4 * PERIOD and min(steps) >= 0.0
+    assert steps[-20:] == pytest.approx([0.4 * PERIOD] * 20, rel=0.02)
+    assert why(bench) == ""
+
+
+def test_a_driver_that_was_held_up_for_long_lets_go() -> None:
+    bench = Bench()
+    bench.arm()
+    bench.drive(25, speed=0.4)
+    for _ in range(20):
+        bench.clock.advance()
+    bench.drive(1, speed=0.4)
+    until(lambda: "brake" in bench.link.calls)
+    bench.cycles()
+    assert why(bench).startswith("driver held up")
+
+
 FAULTS: list[tuple[str, Callable[[Bench], None], str]] = [
     ("protective stop", lambda b: _packet(b, safety_mode=3, safety_bits=0b100, runtime=1), "protective stop"),
     ("safeguard stop", lambda b: _packet(b, safety_mode=5, safety_bits=0b10000, runtime=4), "safeguard stop"),
