@@ -309,11 +309,10 @@ def test_a_write_that_fails_ends_only_the_recording(
     assert "No space left on device" in caplog.text and recorder.counts.written == 0
 
 
-def test_an_independent_reader_decodes_every_message(
-    node: Session, config: CellConfig, tmp_path: Path
-) -> None:
-    """mcap's own ROS 2 decoder, which knows nothing of this project."""
+def test_independent_readers_decode_every_message(node: Session, config: CellConfig, tmp_path: Path) -> None:
+    """mcap's own ROS 2 decoder and rosbags, which know nothing of this project."""
     from mcap_ros2.reader import read_ros2_messages
+    from rosbags.highlevel import AnyReader
 
     path = tmp_path / "round.mcap"
     with Recorder(config, path):
@@ -335,6 +334,13 @@ def test_an_independent_reader_decodes_every_message(
         "/tf_static": 1,
         "/tf": 5,
     }
+    others: dict[str, int] = {}
+    with AnyReader([path]) as reader:
+        for connection, _, raw in reader.messages():
+            decoded = reader.deserialize(raw, connection.msgtype)
+            assert decoded.__msgtype__ == connection.msgtype
+            others[connection.topic] = others.get(connection.topic, 0) + 1
+    assert others == counts
     assert list(last["/cell/arm/joint_states"].position) == [19 / 125] * 6
     color = cv2.imdecode(np.frombuffer(last["/cell/camera/belt/color/compressed"].data, np.uint8), -1)
     assert color.shape == (480, 640, 3) and abs(int(color.mean()) - 9) <= 1
