@@ -14,7 +14,7 @@ _MODES = {
     Mode.STOPPED: ("STOPPED", "#c62828"),
     Mode.HOLD: ("HOLD", "#b26a00"),
     Mode.COLLABORATIVE: ("COLLABORATIVE", "#2e7d32"),
-    Mode.INDUSTRIAL: ("INDUSTRIAL", "#b8860b"),
+    Mode.INDUSTRIAL: ("INDUSTRIAL", "#1565c0"),
     Mode.RECOVERING: ("RECOVERING", "#6a1b9a"),
 }
 _GREY = "#616161"
