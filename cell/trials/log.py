@@ -49,10 +49,12 @@ class Log:
         return "human" in self.columns
 
     def to_bytes(self) -> bytes:
-        """Compressed, single precision."""
+        """Compressed; single precision, but for the times, which may be a wall clock's."""
         shown = [[SIGNS[g.sign], g.shown, g.answered] for g in self.gestures]
         out = io.BytesIO()
-        arrays: dict[str, Any] = {k: v.astype(np.float32) for k, v in self.columns.items()}
+        arrays: dict[str, Any] = {
+            k: v.astype(np.float64 if k == "t" else np.float32) for k, v in self.columns.items()
+        }
         np.savez_compressed(out, gestures=np.array(shown, float).reshape(-1, 3), **arrays)
         return out.getvalue()
 

@@ -153,3 +153,10 @@ def test_a_log_comes_back_from_its_file(tmp_path: Path) -> None:
     back = read_log(tmp_path / "x.npz")
     assert back.gestures == made.gestures
     assert all(np.allclose(back[k], made[k], atol=1e-5) for k in made.columns)
+
+
+def test_a_log_keeps_the_times_of_a_wall_clock(tmp_path: Path) -> None:
+    made = log(3.0)
+    made.columns["t"] += 1.8e9
+    (tmp_path / "x.npz").write_bytes(made.to_bytes())
+    assert np.array_equal(read_log(tmp_path / "x.npz")["t"], made["t"])
