@@ -106,7 +106,7 @@ def fluency(path: Path, table: Sequence[Record], names: Sequence[str]) -> None:
 
 def timeline(path: Path, log: Log, title: str) -> None:
     """One round: what both do, belief and signs, separation, caps and speed."""
-    t = log["t"]
+    t = log["t"] - log["t"][0]
     figure, axes = _figure(12.5, 8.2, 4, 1, sharex=True, height_ratios=[1.5, 1, 1, 1])
     lanes, top, middle, bottom = axes[:, 0]
     _lanes(lanes, log)
@@ -155,7 +155,7 @@ def timeline(path: Path, log: Log, title: str) -> None:
 
 def _lanes(axis: Any, log: Log) -> None:
     """Gantt-like bars of both agents' actions."""
-    t = log["t"]
+    t = log["t"] - log["t"][0]
     names = [a.name.lower().replace("_", " ") for a in _ROBOT]
     shades = ("0.88", "#56B4E9", "#0072B2", "#009E73", "#F0E442", "#E69F00", "#D55E00", "#CC79A7", "#882255")
     used = set()
