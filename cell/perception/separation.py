@@ -44,6 +44,8 @@ _RANGE = 4.0
 _THICKNESS, _TRUNK, _FAR = 0.06, 0.10, 0.5
 """A camera sees one side of a person: behind each point there may be so much more of a hand [m], and so
 much of a trunk, which is nearest where the arm is farther away than a hand's reach [m]."""
+_FEET, _STEP = 0.9, 0.02
+"""Of who is farther away than this a foot behind the belt, which nobody sees, may be nearer, by so much [m]."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,10 @@ class Cloud:
             near = np.concatenate([near, behind])
             gaps = np.concatenate([gaps, _gaps(behind, spheres)])
         at = int(np.argmin(gaps))
-        return float(gaps[at]), near[at]
+        gap = float(gaps[at])
+        if self.eye is not None:
+            gap -= float(np.clip(gap - _FEET, 0.0, _STEP))
+        return gap, near[at]
 
 
 class Separation:
