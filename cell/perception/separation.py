@@ -45,7 +45,7 @@ _THICKNESS, _TRUNK, _FAR = 0.06, 0.10, 0.5
 """A camera sees one side of a person: behind each point there may be so much more of a hand [m], and so
 much of a trunk, which is nearest where the arm is farther away than a hand's reach [m]."""
 _FEET, _STEP = 0.9, 0.02
-"""Of who is farther away than this a foot behind the belt, which nobody sees, may be nearer, by so much [m]."""
+"""Of who is farther away than this an unseen foot behind the belt may be nearer, by so much [m]."""
 
 
 @dataclass(frozen=True)
