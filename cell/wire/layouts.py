@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -50,7 +51,7 @@ class Layout(Protocol[M]):
     def read(self, r: Reader) -> M: ...
 
 
-class Simple(Generic[M]):
+class Simple(ABC, Generic[M]):
     """Base of layouts that are one ROS message without bulk data."""
 
     ros_type: str
@@ -62,11 +63,13 @@ class Simple(Generic[M]):
     def read(self, r: Reader) -> M:
         return self.from_ros(r.take(self.ros_type))
 
+    @abstractmethod
     def to_ros(self, m: M) -> Any:
-        raise NotImplementedError
+        """The ROS message's fields."""
 
+    @abstractmethod
     def from_ros(self, ros: Any) -> M:
-        raise NotImplementedError
+        """Our message of a decoded ROS message."""
 
 
 def optical_frame(camera: str) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import threading
+from abc import ABC, abstractmethod
 from collections import deque
 from typing import Any, Generic, TypeVar
 
@@ -52,7 +53,7 @@ def attached(sample: zenoh.Sample) -> tuple[int, float, int] | None:
     return seq, ns / 1_000_000_000, sender
 
 
-class Newest(Generic[M]):
+class Newest(ABC, Generic[M]):
     """What all readers share. Thread-safe; `wait` alone ever blocks.
 
     Attributes:
@@ -66,9 +67,9 @@ class Newest(Generic[M]):
         self._t = -math.inf
         self._fresh: deque[M] = deque(maxlen=256)
 
+    @abstractmethod
     def _poll(self) -> None:
         """Take over what has arrived (called with the lock held)."""
-        raise NotImplementedError
 
     def _accept(self, message: M, t: float) -> None:
         self._message, self._t = message, t
