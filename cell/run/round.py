@@ -225,7 +225,7 @@ def _drive(
         raise
     duration = inputs.t - start
     factor = duration / max(perf_s() - began, 1e-9)
-    if options.lock_step:
+    if options.simulated:
         for _ in range(_SETTLE_CYCLES):  # the last onion comes to rest before the round is judged
             inputs = link.exchange(())
     meter.wait_for(inputs.t)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import subprocess
 import sys
 import tempfile
@@ -15,6 +16,7 @@ from typing import Self
 
 import yaml
 
+from cell.child import end_child
 from cell.clock import WallClock
 from cell.config import CellConfig, to_dict
 from cell.decision.io import Inputs, Outputs
@@ -23,6 +25,7 @@ from cell.run.round import HOLDER, RoundOptions, Watcher
 from cell.wire.session import Session
 from cell.wire.types import Truth, TruthRequest
 
+_LEFT_OUT = re.compile(r"; (\d+) more were left out")
 _START_TIME, _END_TIME = 90.0, 8.0
 _PERIOD = 0.2
 """From one look at the truth to the next [s]: it comes from a third process, in real time."""
@@ -41,27 +44,20 @@ class Emulated:
         file = Path(self._folder.name) / "cell.yaml"
         file.write_text(yaml.safe_dump(to_dict(config)))
         command = [sys.executable, "-m", "cell.cli", "emulate", "--listen", self.address, "--seed", str(seed)]
-        command += ["--onions", str(onions), "--persona", persona, "--config", str(file)]
+        command += ["--onions", str(onions), "--persona", persona, "--config", str(file), "--linked"]
+        self._lines: list[str] = []
         self._process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
-        )
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            start_new_session=True,
+        )  # fmt: skip
+        self._ready = threading.Event()
+        self._reader = threading.Thread(target=self._read, daemon=True)
 
     def __enter__(self) -> Self:
-        lines: list[str] = []
-        ready = threading.Event()
-
-        def read() -> None:
-            assert self._process.stdout is not None
-            for line in self._process.stdout:
-                lines.append(line.strip())
-                if "emulated at" in line:
-                    ready.set()
-            ready.set()
-
-        threading.Thread(target=read, daemon=True).start()
-        if not ready.wait(_START_TIME) or self._process.poll() is not None:
+        self._reader.start()
+        if not self._ready.wait(_START_TIME) or self._process.poll() is not None:
             self.close()
-            raise BackendError(f"the emulated controller did not start: {' '.join(lines[-2:])}")
+            raise BackendError(f"the emulated controller did not start: {' '.join(self._lines[-2:])}")
         return self
 
     def __exit__(
@@ -79,13 +75,23 @@ class Emulated:
 
     def close(self) -> None:
         """End it; kill it if it does not come."""
-        self._process.terminate()
-        try:
-            self._process.wait(_END_TIME)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        end_child(self._process, _END_TIME)
+        self._reader.join(_END_TIME)
         self._folder.cleanup()
+
+    @property
+    def left_out(self) -> int | None:
+        """Cycles of 2 ms that the emulator left out, being late; known when it has ended by itself."""
+        found = _LEFT_OUT.search(self._lines[-1]) if self._lines else None
+        return int(found[1]) if found else None
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self._lines.append(line.strip())
+            if "emulated at" in line:
+                self._ready.set()
+        self._ready.set()
 
 
 class Sampler:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import resource
 import socket
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from cell.decision.io import Inputs, Outputs
 from cell.decision.policy import parse
 from cell.motion.planner import Planner
 from cell.run.result import RoundResult
-from cell.run.round import Judge, MakeCompanion, RoundOptions, run_round
+from cell.run.round import MakeCompanion, RoundOptions, run_round
 from cell.trials.contenders import ORACLE, Contender
 from cell.trials.durations import durations
 from cell.trials.emulated import Emulated
@@ -78,7 +77,7 @@ def run_job(job: Job) -> dict[str, bytes]:
         supervisor = msgspec.structs.replace(config.supervisor, belief=job.contender.belief)
         config = msgspec.structs.replace(config, supervisor=supervisor)
     logger = Logger(config)
-    result = _round(job, config, logger)
+    result, left_out = _round(job, config, logger)
     log = logger.log()
     own, others = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     record = {
@@ -97,13 +96,15 @@ def run_job(job: Job) -> dict[str, bytes]:
             "memory_mb": round((own.ru_maxrss + others.ru_maxrss) / 1024, 1),
             "real_time_factor": result.real_time_factor,
             "host": socket.gethostname(),
+            **({} if left_out is None else {"cycles_left_out": left_out}),
         },
     }
     text = json.dumps(record, indent=1) + "\n"
     return {EVENTS: logger.events().encode(), TICKS: log.to_bytes(), RESULT: text.encode()}
 
 
-def _round(job: Job, config: CellConfig, logger: Logger) -> RoundResult:
+def _round(job: Job, config: CellConfig, logger: Logger) -> tuple[RoundResult, int | None]:
+    """The round, and how many cycles the emulated controller left out, if there was one."""
     witness = Witness()
 
     def watch(inputs: Inputs, outputs: Outputs) -> None:
@@ -122,19 +123,16 @@ def _round(job: Job, config: CellConfig, logger: Logger) -> RoundResult:
         make = _told(job, witness)
     policy = parse(job.contender.csv, job.contender.policy)
     real_time = job.backend == "ur3e"
-    with ExitStack() as stack:
-        options = RoundOptions(
-            job.backend, not real_time, job.spec.seed, job.onions, person=job.spec.persona,
-            record=Path(job.record) if job.record else None,
-        )  # fmt: skip
-        judge_tick: Judge | None = judge
-        if real_time:
-            emulated = stack.enter_context(Emulated(config, job.spec.seed, job.onions, job.spec.persona))
-            options = emulated.options(options)
-            sampler = stack.enter_context(emulated.sampler(config, logger.truth))
-            judge_tick = None
-            return run_round(config, policy, options, sampler.first(watch))
-        return run_round(config, policy, options, watch, judge_tick, make, _JUDGE_EVERY)
+    options = RoundOptions(
+        job.backend, not real_time, job.spec.seed, job.onions, person=job.spec.persona,
+        record=Path(job.record) if job.record else None,
+    )  # fmt: skip
+    if not real_time:
+        return run_round(config, policy, options, watch, judge, make, _JUDGE_EVERY), None
+    emulated = Emulated(config, job.spec.seed, job.onions, job.spec.persona)
+    with emulated, emulated.sampler(config, logger.truth) as sampler:
+        result = run_round(config, policy, emulated.options(options), sampler.first(watch))
+    return result, emulated.left_out
 
 
 def _told(job: Job, witness: Witness) -> MakeCompanion:

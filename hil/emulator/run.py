@@ -6,6 +6,7 @@ import gc
 import ipaddress
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -45,6 +46,7 @@ class EmulateOptions:
         faults: as in `fault_syntax`.
         running: power on, release the brakes, before it is said to be ready.
         bare: no cell around the arm, no physics.
+        linked: standard input belongs to the program that started it; its end is the emulator's, too.
     """
 
     listen: str = "127.0.0.2"
@@ -55,10 +57,11 @@ class EmulateOptions:
     faults: tuple[str, ...] = ()
     running: bool = True
     bare: bool = False
+    linked: bool = False
 
 
 def emulate(config: CellConfig, options: EmulateOptions, say: Callable[[str], None]) -> None:
-    """Run until Ctrl-C or SIGTERM; everything that was started is ended then.
+    """Run until Ctrl-C, SIGTERM or the end of what it is linked to, then end everything that was started.
 
     Args:
         say: told the line that says it is ready, and the last one.
@@ -71,7 +74,7 @@ def emulate(config: CellConfig, options: EmulateOptions, say: Callable[[str], No
     arm, faults = model(options.model), make_faults(options.faults, options.seed)
     bare = options.bare or options.model != "ur3e"  # the simulated cell is built around a UR3e
     with ExitStack() as stack:
-        told = stack.enter_context(_told_to_end())
+        told = stack.enter_context(_told_to_end(options.linked))
         surroundings: Surroundings | None = None
         plant: IdealPlant | WorldPlant
         if bare:
@@ -141,13 +144,24 @@ def _look(emulator: Emulator, surroundings: Surroundings | None) -> None:
 
 
 @contextmanager
-def _told_to_end() -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C or SIGTERM came. Nothing is interrupted: a thread's `join` would not survive it."""
+def _told_to_end(linked: bool) -> Iterator[Callable[[], bool]]:
+    """Whether Ctrl-C or SIGTERM came, or standard input ended, if `linked`.
+
+    Nothing is interrupted: a thread's `join` would not survive it.
+    """
     came: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:
         del frame
         came.append(number)
+
+    def read() -> None:
+        while sys.stdin.read(4096):
+            pass
+        came.append(0)
+
+    if linked:
+        threading.Thread(target=read, name="link", daemon=True).start()
 
     before = {each: signal.signal(each, note) for each in (signal.SIGINT, signal.SIGTERM)}
     try:

@@ -20,8 +20,10 @@ _START_TOLERANCE = 0.02
 _SPEED_TOLERANCE = 1.1
 _SLACK = 2e-3
 """For rounding and for braking on the path [rad]."""
-CATCH_UP = 1.1
-"""How much faster than ordered the arm moves while it makes up for cycles that the driver missed."""
+CATCH_UP = 1.03
+"""How much faster than ordered the arm moves while it makes up for cycles that the driver missed.
+
+Plans keep `motion.speed_margin` of the tool's cap, and this takes less than they leave."""
 _KEPT = 8
 """Set-points that are remembered: those still to be played, also after a burst."""
 

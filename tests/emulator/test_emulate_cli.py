@@ -26,7 +26,9 @@ END_TIME = 10.0
 def emulator(address: str, *args: object) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A running emulator and the line it said when it was ready."""
     command = [*CELL, "--listen", address, *map(str, args)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     try:
         assert process.stdout is not None and process.stderr is not None
         line = process.stdout.readline()
@@ -70,6 +72,17 @@ def refused(*args: object) -> str:
     (line,) = run.stderr.splitlines()
     assert line.startswith("cell: ")
     return line
+
+
+@pytest.mark.skipif(bool(NO_GL), reason=NO_GL)
+def test_linked_to_a_program_it_ends_with_it() -> None:
+    with emulator("127.0.0.49", "--onions", 0, "--persona", "none", "--linked") as (process, line):
+        assert "emulated at" in line
+        (child,) = children(process.pid)
+        assert process.poll() is None and process.stdin is not None
+        process.stdin.close()
+        assert process.wait(END_TIME) == 0 and not Path(f"/proc/{child}").exists()
+        process.stdin = None  # `communicate` would flush it
 
 
 @pytest.mark.skipif(bool(NO_GL), reason=NO_GL)

@@ -8,9 +8,11 @@ from dataclasses import replace
 
 import pytest
 
+from cell.config import load
 from hil.ur3e.arm_link import PERIOD
 from hil.ur3e.block import Measured, Order
 from hil.ur3e.conditions import condition
+from hil.ur3e.setpoints import CATCH_UP
 from tests.ur3e.fakes import HOME, Bench
 from tests.wire_helpers import until
 
@@ -77,10 +79,14 @@ def test_set_points_that_stop_coming_brake_the_arm() -> None:
 
 
 def test_after_missed_cycles_the_arm_catches_up_slowly() -> None:
-    """12 ms without the driver: no set-point jumps, and in the end the arm is where it should be."""
+    """12 ms without the driver: no set-point jumps, and in the end the arm is where it should be.
+
+    The tool's cap holds meanwhile: plans leave more of it than catching up takes.
+    """
+    assert CATCH_UP * load().motion.speed_margin < 1.0
     bench = Bench()
     bench.arm()
-    for k in range(100):
+    for k in range(150):
         bench.follow(tuple(x + 0.4 * 0.008 * (k + 1) for x in HOME), (0.4,) * 6)  # type: ignore[arg-type]
         for cycle in range(4):
             if k in (25, 26) and cycle > 0:
@@ -88,7 +94,7 @@ def test_after_missed_cycles_the_arm_catches_up_slowly() -> None:
             else:
                 bench.cycles(1)
     steps = [b[0] - a[0] for a, b in zip(bench.link.servos, bench.link.servos[1:], strict=False)]
-    assert max(steps) < 1.15 * 0.4 * PERIOD and min(steps) >= 0.0
+    assert max(steps) < 1.01 * CATCH_UP * 0.4 * PERIOD and min(steps) >= 0.0
     assert steps[-20:] == pytest.approx([0.4 * PERIOD] * 20, rel=0.02)
     assert why(bench) == ""
 
