@@ -20,7 +20,6 @@ from cell.errors import ConfigError
 from cell.settings import (
     ArmConfig,
     BeltConfig,
-    BinConfig,
     BoardConfig,
     CameraConfig,
     GestureConfig,
@@ -28,6 +27,7 @@ from cell.settings import (
     MotionConfig,
     OnionConfig,
     PersonConfig,
+    RobotBinConfig,
     Section,
     SeparationConfig,
     SupervisorConfig,
@@ -45,7 +45,7 @@ class CellConfig(Section, frozen=True):
     arm: ArmConfig
     gripper: GripperConfig
     belt: BeltConfig
-    bin: BinConfig
+    bin: RobotBinConfig
     floor_z: Annotated[float, Meta(lt=0)]
     """Height of the shop floor below the robot's base plane [m]."""
     cameras: dict[str, CameraConfig]

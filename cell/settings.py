@@ -83,6 +83,13 @@ class BinConfig(Section, frozen=True):
     """Height of the held onion's centre above the opening when it is let go [m]."""
 
 
+class RobotBinConfig(BinConfig, frozen=True):
+    """The open bin into which the robot drops blemished onions."""
+
+    drop_spread: NotNegative
+    """Onions are let go up to this far from the centre in x and y, each elsewhere: none stands on another [m]."""
+
+
 class CalibrationConfig(Section, frozen=True):
     """What `cell calibrate` measured of one camera; written by it, not by hand."""
 

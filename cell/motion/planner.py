@@ -21,6 +21,7 @@ from cell.motion.paths import JointPath
 from cell.motion.roadmap import Roadmap
 from cell.motion.routes import Routes
 from cell.motion.timing import TimedPath, time_path
+from cell.settings import RobotBinConfig
 
 _CHECK_STEP = 0.06
 """Joint distance between collision checks along a path [rad]."""
@@ -37,6 +38,15 @@ _ROUNDED_STEP, _DESCENT_STEP = 0.15, 0.02
 _SUBDIVISIONS = (1, 3, 8)
 """Into how many pieces the moves of a way through the roadmap are cut, tried in this order."""
 _DROP_YAWS = np.linspace(-np.pi / 2, np.pi / 2, 12, endpoint=False)
+_SPREADING = np.array([0.7548776662466927, 0.5698402909980532])
+"""Steps in x and y of a sequence that fills a square evenly, however long it is (Roberts 2018, R2)."""
+
+
+def drop_place(bin: RobotBinConfig, count: int) -> Array:
+    """Where the robot lets go of an onion over the bin after `count` others: p_WT (3,) [m]."""
+    x, y, top = bin.center
+    dx, dy = bin.drop_spread * (2.0 * ((0.5 + count * _SPREADING) % 1.0) - 1.0)
+    return np.array([x + dx, y + dy, top + bin.drop_height])
 
 
 class Planner:
@@ -81,16 +91,19 @@ class Planner:
         ]
         return options[min(reached)[1]][1] if reached else X_WT
 
-    def drop_pose(self, q_near: Array) -> Array:
+    def drop_pose(self, q_near: Array, count: int = 0) -> Array:
         """Tool straight down above the bin, with the yaw that moves the arm least there and home.
+
+        Args:
+            count: onions let go there before; each falls elsewhere, the first one in the middle.
 
         Raises:
             PlanError: the bin is out of reach.
         """
-        (x, y, z), height = self.config.bin.center, self.config.bin.drop_height
+        p_WT = drop_place(self.config.bin, count)
         home = np.array(self.config.arm.home)
         found: list[tuple[bool, float, int]] = []
-        poses = [self.grasp_pose(np.array([x, y, z + height]), float(yaw)) for yaw in _DROP_YAWS]
+        poses = [self.grasp_pose(p_WT, float(yaw)) for yaw in _DROP_YAWS]
         for k, X_WT in enumerate(poses):
             for q in self.kinematics.ik(X_WT, q_near)[:2]:
                 # The way to the bin is long enough to turn the wrist; the way home is short.
@@ -98,9 +111,8 @@ class Planner:
                 travel = float(np.abs(q - q_near)[:5].max() + back)
                 found.append((not self.kinematics.at_home_in(q), travel, k))
         if not found:
-            raise PlanError(
-                f"bin.center: the drop pose at ({x:.3f}, {y:.3f}, {z + height:.3f}) m is out of reach"
-            )
+            x, y, z = p_WT
+            raise PlanError(f"bin.center: the drop pose at ({x:.3f}, {y:.3f}, {z:.3f}) m is out of reach")
         return poses[min(found)[2]]
 
     def reachable(self, X_WT: Array, hover: float) -> bool:

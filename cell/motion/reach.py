@@ -6,6 +6,7 @@ and not a failed plan in the middle of it.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -15,6 +16,7 @@ from cell.errors import ConfigError
 from cell.frames import Array, pose, rot_x, rot_z
 from cell.motion.collision import CollisionModel
 from cell.motion.kinematics import Kinematics
+from cell.motion.planner import drop_place
 from cell.motion.views import InspectionViews
 
 _GRID = (4, 7)
@@ -71,16 +73,30 @@ def _window(config: CellConfig) -> Iterator[tuple[str, Array]]:
 
 
 def _check_drop(config: CellConfig, kinematics: Kinematics, model: CollisionModel, home: Array) -> None:
-    x, y, top = config.bin.center
-    z = top + config.bin.drop_height
+    x, y, z = drop_place(config.bin, 0)
+    spread = config.bin.drop_spread
+    if spread > 0.5 * min(config.bin.size[:2]) - 0.5 * config.onions.diameter[1]:
+        raise ConfigError(f"bin.drop_spread: onions let go {spread:g} m off the centre hit the bin's wall")
+    for dx, dy in [(0.0, 0.0), *itertools.product((-spread, spread), repeat=2)]:
+        _check_drop_at((x + dx, y + dy, z), config, kinematics, model, home)
+
+
+def _check_drop_at(
+    p_WT: tuple[float, float, float],
+    config: CellConfig,
+    kinematics: Kinematics,
+    model: CollisionModel,
+    home: Array,
+) -> None:
     best, solutions = -np.inf, 0
     pair = ""
     for yaw in np.linspace(-np.pi / 2, np.pi / 2, 12, endpoint=False):
-        for q in kinematics.ik(pose(rot_z(yaw) @ rot_x(np.pi), (x, y, z)), home):
+        for q in kinematics.ik(pose(rot_z(yaw) @ rot_x(np.pi), p_WT), home):
             solutions += 1
             gap, near = model.nearest(q, held_radius=config.onions.diameter[1] / 2)
             if gap > best:
                 best, pair = gap, near
+    x, y, z = p_WT
     if not solutions:
         raise ConfigError(
             f"bin.center: the drop pose at ({x:.3f}, {y:.3f}, {z:.3f}) m is out of reach of the UR3e; "
@@ -89,5 +105,5 @@ def _check_drop(config: CellConfig, kinematics: Kinematics, model: CollisionMode
     if best < config.motion.clearance:
         raise ConfigError(
             f"bin.center: the drop pose at ({x:.3f}, {y:.3f}, {z:.3f}) m is in reach only by touching "
-            f"something ({pair}); move the bin or raise bin.drop_height"
+            f"something ({pair}); move the bin, raise bin.drop_height, or lower bin.drop_spread"
         )
