@@ -87,7 +87,7 @@ class RobotBinConfig(BinConfig, frozen=True):
     """The open bin into which the robot drops blemished onions."""
 
     drop_spread: NotNegative
-    """Onions are let go up to this far from the centre in x and y, each elsewhere: none stands on another [m]."""
+    """Onions are let go up to this far from the centre in x and y, so that none stands on another [m]."""
 
 
 class CalibrationConfig(Section, frozen=True):

@@ -13,7 +13,7 @@ from cell.errors import PlanError
 from cell.frames import Array
 from cell.limits import Limits, check_trajectory, tcp_positions
 from cell.motion.collision import CollisionModel
-from cell.motion.planner import Planner
+from cell.motion.planner import Planner, drop_place
 from cell.motion.timing import TimedPath
 from cell.motion.views import InspectionViews
 from cell.wire.types import Trajectory
@@ -190,6 +190,19 @@ def test_collision_model_sees_posts_walls_belt_and_itself() -> None:
     assert model.clearance(folded)[0] < 0
     assert "upper arm" in model.nearest(folded)[1]
     assert model.clearance(HOME, held_radius=0.2)[0] < model.clearance(HOME, held_radius=0.04)[0]
+
+
+def test_every_onion_of_a_batch_is_let_go_elsewhere_over_the_bin() -> None:
+    places = np.array([drop_place(CONFIG.bin, k) for k in range(15)])
+    apart = np.linalg.norm(places[:, None, :2] - places[None, :, :2], axis=2) + np.eye(15)
+    assert apart.min() > 0.01
+    assert np.allclose(places[0, :2], CONFIG.bin.center[:2])
+    assert np.abs(places[:, :2] - CONFIG.bin.center[:2]).max() <= CONFIG.bin.drop_spread
+    for k in range(0, 15, 3):
+        X_WT = planner().drop_pose(HOME, k)
+        assert np.allclose(X_WT[:3, 3], places[k])
+        timed = planner().plan_to_pose(HOME, X_WT, 0.25, held_radius=0.04)
+        check(timed, HOME, timed.to_points(CONFIG.arm.control_period)[1][-1], 0.04)
 
 
 def test_fingertips_may_come_near_the_belt_but_not_into_it() -> None:

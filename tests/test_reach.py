@@ -51,6 +51,7 @@ def altered(section: str, **values: object) -> CellConfig:
             r"bin\.center: the drop pose at .*0\.900.* out of reach of the UR3e",
         ),
         (altered("bin", center=(0.25, 0.0, -0.05)), r"touching something"),
+        (altered("bin", drop_spread=0.11), r"bin\.drop_spread: .* 0\.11 m off the centre hit the bin's wall"),
         (altered("belt", pick_x=(0.25, 0.58)), r"belt\.pick_x.* out of reach of the UR3e"),
         (altered("belt", pick_y=(-0.6, 0.33)), r"belt\.pick_x, belt\.pick_y: the grasp at .* out of reach"),
         (altered("arm", home=(0.0, 0.6, 0.0, 0.0, 1.57, 0.0)), r"arm\.home: .*belt"),

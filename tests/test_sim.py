@@ -15,6 +15,7 @@ from cell.config import CellConfig, load
 from cell.errors import BackendError, ConfigError
 from cell.frames import Array, pose, rot_x
 from cell.motion.kinematics import Kinematics
+from cell.motion.planner import drop_place
 from hil.backend import make_backend
 from hil.sim.backend import SimBackend
 from hil.sim.physics import bullet
@@ -278,6 +279,28 @@ def test_fifteen_onions_lie_apart_in_the_pick_window_at_rest(seed: int) -> None:
             world.step()
         moved = np.array([world.onion_pose(i)[:3, 3] for i in range(15)]) - p
         assert np.abs(moved).max() < 0.004
+    finally:
+        world.close()
+
+
+def test_a_whole_batch_lies_in_the_bin_and_not_one_upon_the_other() -> None:
+    from hil.sim.world import World
+
+    world = World(CONFIG, 3, 15)
+    try:
+        world.arm.place(np.array([0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0]))  # upright, out of the way
+        for i in range(15):
+            world.set_onion_pose(i, pose(p=drop_place(CONFIG.bin, i)))
+            bullet.changeDynamics(
+                world.onion_bodies[i], -1, activationState=bullet.ACTIVATION_STATE_WAKE_UP,
+                physicsClientId=world.client,
+            )  # fmt: skip
+            for _ in range(100):
+                world.step()
+        assert {world.place_of(i) for i in range(15)} == {"bin"}
+        heights = np.array([world.onion_pose(i)[2, 3] for i in range(15)])
+        floor = CONFIG.bin.center[2] - CONFIG.bin.size[2]
+        assert heights.max() < floor + 2.2 * CONFIG.onions.diameter[1]  # two layers
     finally:
         world.close()
 
