@@ -86,7 +86,7 @@ class BinConfig(Section, frozen=True):
 class RobotBinConfig(BinConfig, frozen=True):
     """The open bin into which the robot drops blemished onions."""
 
-    drop_spread: NotNegative
+    drop_spread: NotNegative = 0.0  # what recordings without this key did
     """Onions are let go up to this far from the centre in x and y, so that none stands on another [m]."""
 
 

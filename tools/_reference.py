@@ -124,12 +124,14 @@ def _section_of(kind: Any) -> type | None:
 
 
 def _texts(section: type) -> dict[str, str]:
-    """What the source says of each key; keys in a row share the text that follows them."""
+    """What the source says of each key, its parents' included; keys in a row share the text after them."""
     tree = ast.parse(inspect.getsource(sys.modules[section.__module__]))
-    body = next(n for n in tree.body if isinstance(n, ast.ClassDef) and n.name == section.__name__).body
+    classes = {n.name: n for n in tree.body if isinstance(n, ast.ClassDef)}
+    own = [classes[c.__name__] for c in section.__mro__ if c.__name__ in classes]
+    body = [item for c in reversed(own) for item in c.body[1:]]
     texts: dict[str, str] = {}
     waiting: list[str] = []
-    for item in body[1:]:
+    for item in body:
         if isinstance(item, ast.AnnAssign):
             waiting.append(ast.unparse(item.target))
         elif isinstance(item, ast.Expr) and isinstance(item.value, ast.Constant):

@@ -25,12 +25,8 @@ class Plots:
     def __init__(self, server: ViserServer) -> None:
         from viser import uplot
 
-        server.gui.add_html(
-            words.note(
-                f"the last minute: {_dot(_BELIEF)} belief that the person is tired,"
-                f" {_dot(_TOOL)} tool and {_dot(_CAP)} its cap [m/s]"
-            )
-        )
+        curves = {"belief: tired": _BELIEF, "tool": _TOOL, "its cap [m/s]": _CAP}
+        server.gui.add_html(words.legend("the last minute", curves))
         self._plot = server.gui.add_uplot(
             data=(np.zeros(2),) * 4,
             series=(
@@ -58,7 +54,3 @@ class Plots:
             return np.asarray(values[which])
 
         self._plot.data = (thin(t), thin(curves.belief), thin(curves.cap), thin(curves.speed))
-
-
-def _dot(color: str) -> str:
-    return f'<span style="color:{color}">&#9679;</span>'

@@ -107,6 +107,14 @@ def note(text: str, colour: str = "#777") -> str:
     return _block(f'<span style="color:{colour}">{escape(text) or "&nbsp;"}</span>')
 
 
+def legend(title: str, curves: dict[str, str]) -> str:
+    """One small line: what is plotted, each curve's name after a dot of its colour."""
+    names = ", ".join(
+        f'<span style="color:{colour}">&#9679;</span> {escape(name)}' for name, colour in curves.items()
+    )
+    return _block(f'<span style="color:#777">{escape(title)}: {names}</span>')
+
+
 def _block(html: str) -> str:
     return f'<div style="padding:0 0.75em;font-size:0.8em">{html}</div>'
 
