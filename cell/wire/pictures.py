@@ -1,7 +1,8 @@
 """Images as recordings keep them for people and tools: JPEG colour, and depth as ROS's `compressedDepth`.
 
 Depth is stored as inverse depth in steps of a share of the stereo camera's own noise (16-bit PNG after a
-header with the two constants), which is a fifth of what lossless depth costs. Nothing decides on these.
+header with the two constants), and four neighbours share the reading of one of them: a tenth of what
+lossless depth costs. Neither a round nor its replay decides on these.
 """
 
 from __future__ import annotations
@@ -24,9 +25,11 @@ COMPRESSED = "sensor_msgs/msg/CompressedImage"
 COLOR_SUFFIX, DEPTH_SUFFIX = "/compressed", "/compressedDepth"
 """What ROS appends to the topic of the raw image."""
 _COLOR, _DEPTH = "rgb8; jpeg compressed bgr8", "32FC1; compressedDepth png"
-_QUALITY = 85
+_QUALITY = 75
 _STEP = 3.0
 """Steps of inverse depth, as a share of the disparity's noise; rounding to them adds 0.87 of it."""
+_BLOCK = 2
+"""Side of the square of pixels that share one reading."""
 _PNG = b"\x89PNG\r\n\x1a\n"
 _HEADER = struct.Struct("<iff")
 _LIMIT = SMALL + MAX_SIDE * MAX_SIDE * 4
@@ -51,13 +54,14 @@ def compress(image: Image, camera: CameraConfig) -> bytes:
     scale = min(scale, np.float32(60_000.0 * camera.min_depth))
     steps = np.zeros(image.pixels.shape, np.float32)
     np.divide(scale, image.pixels, out=steps, where=image.pixels > 0.0)
-    counts = np.rint(np.minimum(steps, 65535.0)).astype(np.uint16)
+    counts = np.rint(np.minimum(steps[::_BLOCK, ::_BLOCK], 65535.0)).astype(np.uint16)
+    counts = counts.repeat(_BLOCK, 0).repeat(_BLOCK, 1)[: steps.shape[0], : steps.shape[1]]
     # Neighbours differ by little, and nothing repeats but what is smooth.
     how = [
         cv2.IMWRITE_PNG_STRATEGY,
         cv2.IMWRITE_PNG_STRATEGY_RLE,
         cv2.IMWRITE_PNG_FILTER,
-        cv2.IMWRITE_PNG_FILTER_UP,
+        cv2.IMWRITE_PNG_FILTER_PAETH,
     ]
     fine, data = cv2.imencode(".png", counts, [cv2.IMWRITE_PNG_COMPRESSION, 1, *how])
     return _message(image, _DEPTH, _HEADER.pack(0, float(scale), 0.0), data if fine else None)
