@@ -12,8 +12,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+import viser
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
 from cell.clock import StepClock
 from cell.config import load
@@ -34,8 +38,8 @@ from cell.view.controls import APART, ARMED, TwoClicks
 from cell.view.live import LiveSource
 from cell.view.moment import Moment
 from cell.view.onions import Perceived
-from cell.view.page import make_server
 from cell.view.recorded import RecordedSource
+from cell.view.web import make_server, stop_server
 from cell.wire import codec
 from cell.wire import types as T
 from cell.wire.keys import Keys
@@ -384,6 +388,38 @@ def test_bad_input_gets_one_line(tmp_path: Path) -> None:
     assert "cannot read" in one_line("view", tmp_path / "none.mcap")
     assert "no MCAP recording" in one_line("view", junk)
     assert "1024 to 65535" in one_line("run", "--view", "--view-port", 80)
+
+
+@pytest.mark.parametrize(
+    ("origin", "let_in"),
+    [
+        ("http://127.0.0.1:8080", True),
+        ("http://localhost:9999", True),
+        (None, True),
+        ("https://example.com", False),
+        ("http://127.0.0.1.example.com", False),
+        ("null", False),
+    ],
+)
+def test_a_web_page_from_elsewhere_cannot_reach_the_cell(origin: str | None, let_in: bool) -> None:
+    port = free_port()
+    server = make_server(port)
+    try:
+        try:
+            with connect(
+                f"ws://127.0.0.1:{port}",
+                origin=origin,  # type: ignore[arg-type]
+                subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
+                max_size=None,
+            ) as page:
+                assert page.recv(timeout=10.0)
+            reached = True
+        except InvalidStatus as refused:
+            assert refused.response.status_code == 403
+            reached = False
+        assert reached == let_in
+    finally:
+        stop_server(server)
 
 
 def test_an_absent_cell_and_a_taken_port_are_told(tmp_path: Path) -> None:

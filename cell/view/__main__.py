@@ -19,8 +19,8 @@ from cell.config import from_dict
 from cell.errors import CellError, ConfigError, WireError
 from cell.view.child import ADDRESS, WATCHED
 from cell.view.live import LiveSource
-from cell.view.page import HOST
 from cell.view.serve import serve
+from cell.view.web import HOST
 
 _NICE = 10
 _TRY = 2.0

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import socket
-from contextlib import redirect_stdout
-from io import StringIO
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +9,6 @@ import numpy as np
 from cell.clock import WallClock
 from cell.config import CellConfig
 from cell.decision.policy import shipped
-from cell.errors import WireError
 from cell.view import drawing, words
 from cell.view.controls import Controls
 from cell.view.live import LiveSource
@@ -28,34 +24,8 @@ from cell.view.tool import tool_speed
 if TYPE_CHECKING:
     from viser import ViserServer
 
-HOST = "127.0.0.1"
-PORT = 8080
 _STATUS, _PICTURES, _CURVES = 0.25, 0.35, 1.0
 """Least times between two drawings of words, pictures and person, plots [s]."""
-
-
-def make_server(port: int) -> ViserServer:
-    """A web server on the loopback interface; raises `WireError` when the port is taken."""
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((HOST, port))
-        except OSError as error:
-            raise WireError(f"the view cannot use port {port}: {error.strerror}; give another one") from None
-    from viser import ViserServer
-
-    with redirect_stdout(StringIO()):  # it prints a banner
-        server = ViserServer(host=HOST, port=port, label="sorting cell", verbose=False)
-    if server.get_port() != port:  # another program was quicker; viser goes to the next free one
-        stop_server(server)
-        raise WireError(f"the view cannot use port {port}: it is in use; give another one")
-    return server
-
-
-def stop_server(server: ViserServer) -> None:
-    """End it without a word."""
-    with redirect_stdout(StringIO()):
-        server.stop()
 
 
 class Due:

@@ -7,7 +7,8 @@ from collections.abc import Callable
 from cell.clock import WallClock
 from cell.config import CellConfig
 from cell.view.moment import Source
-from cell.view.page import HOST, Page, make_server, stop_server
+from cell.view.page import Page
+from cell.view.web import HOST, make_server, stop_server
 
 _PERIOD = 0.1
 """Between two drawings of what moves [s]."""

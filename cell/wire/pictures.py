@@ -54,8 +54,9 @@ def compress(image: Image, camera: CameraConfig) -> bytes:
     scale = min(scale, np.float32(60_000.0 * camera.min_depth))
     steps = np.zeros(image.pixels.shape, np.float32)
     np.divide(scale, image.pixels, out=steps, where=image.pixels > 0.0)
-    counts = np.rint(np.minimum(steps[::_BLOCK, ::_BLOCK], 65535.0)).astype(np.uint16)
-    counts = counts.repeat(_BLOCK, 0).repeat(_BLOCK, 1)[: steps.shape[0], : steps.shape[1]]
+    steps = np.repeat(np.repeat(steps[::_BLOCK, ::_BLOCK], _BLOCK, axis=0), _BLOCK, axis=1)
+    steps = steps[: image.pixels.shape[0], : image.pixels.shape[1]]
+    counts = np.rint(np.minimum(steps, 65535.0)).astype(np.uint16)
     # Neighbours differ by little, and nothing repeats but what is smooth.
     how = [
         cv2.IMWRITE_PNG_STRATEGY,
