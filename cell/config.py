@@ -31,8 +31,8 @@ from cell.settings import (
     Section,
     SeparationConfig,
     SupervisorConfig,
-    Ur3eConfig,
 )
+from cell.settings_ur3e import Ur3eConfig
 
 
 class CellConfig(Section, frozen=True):

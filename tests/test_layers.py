@@ -16,6 +16,7 @@ BASE = {
     "cell.frames",
     "cell.config",
     "cell.settings",
+    "cell.settings_ur3e",
     "cell.cameras",
     "cell.limits",
     "cell.errors",

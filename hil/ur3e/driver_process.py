@@ -29,7 +29,7 @@ from hil.ur3e.servo_loop import ServoLoop
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the node tells its driver; see `cell.settings.Ur3eConfig`.
+    """What the node tells its driver; see `cell.settings_ur3e.Ur3eConfig`.
 
     Attributes:
         memory: descriptor of the shared memory. offset: of the node's wall clock [s].
