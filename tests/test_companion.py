@@ -82,3 +82,24 @@ def test_a_frame_is_looked_at_once_and_ahead_where_it_can_be() -> None:
     assert len(eye.shown) == 1 and companion.sensed(0.24).fresh
     companion.update(replace(inputs(0.28), frames=(frame(0.1),)), 0.0, NO_ONIONS)
     assert len(eye.shown) == 1
+
+
+def test_a_late_tick_does_not_move_the_arm_in_a_frame() -> None:
+    """Between two ticks 0.12 s apart the arm is where it was at the exposure, not where a tick found it."""
+    eye = NotingEye()
+    seen = {}
+    for exposure in (0.0, 0.03, 0.06, 0.12):
+        companion = Companion(CONFIG, eye, make_belief(CONFIG.supervisor.belief), COLLISION)
+        companion.update(moving(0.0), 0.0, NO_ONIONS)
+        companion.update(moving(0.12, frame(exposure)), 0.0, NO_ONIONS)
+        seen[exposure] = eye.shown[-1][1]
+    for exposure, arm in seen.items():
+        there = Companion(CONFIG, eye, make_belief(CONFIG.supervisor.belief), COLLISION)
+        there.update(moving(exposure, frame(exposure)), 0.0, NO_ONIONS)
+        assert np.abs(arm - eye.shown[-1][1]).max() < 1e-9
+
+
+def moving(t: float, *frames: Frame) -> Inputs:
+    """Inputs of an arm that turns steadily, at 1 rad/s."""
+    known = inputs(t, *frames)
+    return replace(known, joints=replace(known.joints, q=np.array(CONFIG.arm.home) + t))

@@ -69,7 +69,6 @@ class Skills:
         self._planner, self._views = planner, views
         self._config = body.config
         self._X_WT_grasp: Array | None = None
-        self._binned = 0
 
     # -- skills ---------------------------------------------------------------------------------
 
@@ -197,15 +196,14 @@ class Skills:
         self.target, self._X_WT_grasp = None, None
         return Ended("done")
 
-    def place_in_bin(self) -> Skill[Ended]:
-        """Carry the held onion to the bin and let it go."""
-        X_WT = self._planner.drop_pose(self.body.q_rest, self._binned)
+    def place_in_bin(self, before: int) -> Skill[Ended]:
+        """Carry the held onion to the bin, where `before` others lie, and let it go."""
+        X_WT = self._planner.drop_pose(self.body.q_rest, before)
         yield from self._to_pose(X_WT, held=True)
         if not self.body.holds():
             return (yield from self._lost("it fell on the way to the bin"))
         yield from self.body.settle()
         yield from self.body.grip(self._config.gripper.stroke)
-        self._binned += 1
         if self.target is not None:
             self.tracker.taken(self.target.track.id)
         self.target, self._X_WT_grasp = None, None

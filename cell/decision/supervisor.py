@@ -8,6 +8,7 @@ no clock: recorded inputs replayed through it give the same outputs, byte for by
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -229,7 +230,7 @@ class Supervisor:
             Action.PICK: skills.pick,
             Action.INSPECT: skills.inspect,
             Action.PLACE_ON_CONVEYOR: skills.place_on_conveyor,
-            Action.PLACE_IN_BIN: skills.place_in_bin,
+            Action.PLACE_IN_BIN: partial(skills.place_in_bin, self._task.in_bin),
         }
         if self._action not in starts:
             return Ended("done")  # a mode change: the task state does it

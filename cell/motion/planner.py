@@ -37,7 +37,8 @@ _ROUNDED_STEP, _DESCENT_STEP = 0.15, 0.02
 """Spacing of an approach's waypoints before and after its corner [rad], [m]."""
 _SUBDIVISIONS = (1, 3, 8)
 """Into how many pieces the moves of a way through the roadmap are cut, tried in this order."""
-_DROP_YAWS = np.linspace(-np.pi / 2, np.pi / 2, 12, endpoint=False)
+DROP_YAWS = np.linspace(-np.pi / 2, np.pi / 2, 12, endpoint=False)
+"""Turns of the tool over the bin that are tried [rad]."""
 _SPREADING = np.array([0.7548776662466927, 0.5698402909980532])
 """Steps in x and y of a sequence that fills a square evenly, however long it is (Roberts 2018, R2)."""
 
@@ -103,7 +104,7 @@ class Planner:
         p_WT = drop_place(self.config.bin, count)
         home = np.array(self.config.arm.home)
         found: list[tuple[bool, float, int]] = []
-        poses = [self.grasp_pose(p_WT, float(yaw)) for yaw in _DROP_YAWS]
+        poses = [self.grasp_pose(p_WT, float(yaw)) for yaw in DROP_YAWS]
         for k, X_WT in enumerate(poses):
             for q in self.kinematics.ik(X_WT, q_near)[:2]:
                 # The way to the bin is long enough to turn the wrist; the way home is short.

@@ -16,7 +16,7 @@ from cell.errors import ConfigError
 from cell.frames import Array, pose, rot_x, rot_z
 from cell.motion.collision import CollisionModel
 from cell.motion.kinematics import Kinematics
-from cell.motion.planner import drop_place
+from cell.motion.planner import DROP_YAWS, drop_place
 from cell.motion.views import InspectionViews
 
 _GRID = (4, 7)
@@ -90,7 +90,7 @@ def _check_drop_at(
 ) -> None:
     best, solutions = -np.inf, 0
     pair = ""
-    for yaw in np.linspace(-np.pi / 2, np.pi / 2, 12, endpoint=False):
+    for yaw in DROP_YAWS:
         for q in kinematics.ik(pose(rot_z(yaw) @ rot_x(np.pi), p_WT), home):
             solutions += 1
             gap, near = model.nearest(q, held_radius=config.onions.diameter[1] / 2)

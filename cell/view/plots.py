@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 _POINTS = 300
 _TALL = 150
 """Of which the page's library uses two thirds; with it, all that matters fits into 700 pixels."""
-_BELIEF, _CAP, _TOOL = "#7b1fa2", "#c62828", "#1565c0"
+_CURVES = {"belief: tired": "#7b1fa2", "cap [m/s]": "#c62828", "tool [m/s]": "#1565c0"}
+"""Names and colours in the order of the data; the last one is drawn on top."""
 
 
 class Plots:
@@ -25,15 +26,12 @@ class Plots:
     def __init__(self, server: ViserServer) -> None:
         from viser import uplot
 
-        curves = {"belief: tired": _BELIEF, "tool": _TOOL, "its cap [m/s]": _CAP}
-        server.gui.add_html(words.legend("the last minute", curves))
+        server.gui.add_html(words.legend("the last minute", _CURVES))
         self._plot = server.gui.add_uplot(
-            data=(np.zeros(2),) * 4,
+            data=(np.zeros(2),) * (1 + len(_CURVES)),
             series=(
                 uplot.Series(label="s"),
-                uplot.Series(label="belief: tired", stroke=_BELIEF, width=2),
-                uplot.Series(label="cap", stroke=_CAP, width=2),
-                uplot.Series(label="tool", stroke=_TOOL, width=2),
+                *(uplot.Series(label=name, stroke=colour, width=2) for name, colour in _CURVES.items()),
             ),
             scales={"x": uplot.Scale(time=False, range=(-SPAN, 0.0)), "y": uplot.Scale(range=(0.0, 1.15))},
             axes=(
