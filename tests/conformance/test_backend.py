@@ -214,7 +214,8 @@ def test_it_stops_by_itself_when_set_points_stop_coming(backend: Backend) -> Non
         backend.advance()
     joints = backend.read_joints()
     assert np.abs(joints.qd).max() < 0.01
-    coasting = 0.3 * patient(CONFIG).ur3e.patience if real(backend) else 0.0
+    # The driver notices it in a cycle of its own, which a busy machine may hold up for some of them.
+    coasting = 0.3 * (patient(CONFIG).ur3e.patience + 0.05) if real(backend) else 0.0
     assert np.abs(joints.q - last).max() < 0.02 + coasting
 
 
