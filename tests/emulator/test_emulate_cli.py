@@ -111,6 +111,13 @@ def test_a_bare_arm_that_is_off() -> None:
         ends(process, signal.SIGTERM)
 
 
+def test_an_arm_with_faults_to_come_is_powered_up_before_it_is_said_to_be_ready() -> None:
+    address = "127.0.0.46"
+    with emulator(address, "--bare", "--fault", "protective_stop:at=600") as (process, _):
+        assert dashboard(address, "robotmode") == ["Robotmode: RUNNING"]
+        ends(process, signal.SIGTERM)
+
+
 @pytest.mark.skipif(bool(NO_GL), reason=NO_GL)
 def test_a_killed_emulator_takes_its_child_along() -> None:
     with emulator("127.0.0.49", "--onions", 1, "--persona", "none") as (process, line):
