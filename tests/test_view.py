@@ -28,7 +28,8 @@ from cell.errors import DecodeError, WireError
 from cell.frames import look_at
 from cell.limits import tcp_positions
 from cell.record import tick
-from cell.record.content import About, Content, Decision
+from cell.record.content import About, Content
+from cell.record.decision import Decision, code, whole_frames
 from cell.record.mcap_writer import McapFile
 from cell.replay.recorded import Recorded
 from cell.run.desk import Desk
@@ -177,7 +178,8 @@ def test_orders_are_recorded_with_the_tick_that_took_them(tmp_path: Path) -> Non
     rig = operated()
     given = [(), (order("hold"),), (), (order("cap", 0.2), order("go"))]
     for n, (inputs, outputs, orders) in enumerate(zip(rig.inputs, rig.outputs, given, strict=False)):
-        content.decision(Decision(n, dataclasses.replace(inputs, operator=orders), outputs))
+        decision = Decision(n, dataclasses.replace(inputs, operator=orders), outputs)
+        content.decision(code(decision, whole_frames(reference(), lossless=False)))
     file.close()
     assert [t.inputs.operator for t in Recorded(path).ticks()] == given
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from cell.config import CellConfig
-from cell.decision.io import Inputs, Outputs
 from cell.errors import CellError
 from cell.record import tick
+from cell.record.decision import CodedDecision
 from cell.record.mcap_writer import McapFile
 from cell.record.transforms import STRING, TF, Transforms
 from cell.wire import codec, pictures
@@ -45,26 +45,11 @@ class About:
     files: dict[str, bytes] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Decision:
-    """One tick of the supervisor with the searches of the hand networks in it."""
-
-    number: int
-    inputs: Inputs
-    outputs: Outputs
-    searches: tuple[tick.Search, ...] = ()
-
-    @property
-    def size(self) -> int:
-        """Bytes that it holds, roughly."""
-        return 4096 + sum(f.rgb.nbytes + f.depth.nbytes for f in self.inputs.frames)
-
-
 class Content:
     """Puts things into a file.
 
     Args:
-        lossless: keep every pixel of every camera's frames for the replay, not only the belt camera's.
+        about: what the recording is of; needed for a replay. lossless: noted there; see `whole_frames`.
     """
 
     def __init__(self, config: CellConfig, file: McapFile, about: About | None, lossless: bool) -> None:
@@ -72,7 +57,6 @@ class Content:
         self._transforms = Transforms(config)
         keys = Keys(config.name)
         self._joints, self._gripper = keys.joint_states, keys.gripper_state
-        self._whole = frozenset(config.cameras) if lossless else frozenset({"belt"})
         self._width = config.gripper.stroke
         self._counted = 0
         self._begun = False
@@ -97,14 +81,12 @@ class Content:
                 moved = self._transforms.moving(joints.t, joints.q, self._width)
                 self._file.add("/tf", TF, joints.t, self._counted, moved)
 
-    def decision(self, d: Decision) -> None:
-        """One tick of the supervisor; raises CellError when it cannot be written down."""
-        if d.inputs.operator:
-            orders = tick.encode_operator(d.number, d.inputs)
-            self._file.add(OPERATOR, tick.OPERATOR, d.inputs.t, d.number, orders)
-        data = tick.encode_inputs(d.number, d.inputs, d.searches, self._whole)
-        self._file.add(INPUTS, tick.INPUTS, d.inputs.t, d.number, data)
-        self._file.add(OUTPUTS, tick.OUTPUTS, d.inputs.t, d.number, tick.encode_outputs(d.number, d.outputs))
+    def decision(self, d: CodedDecision) -> None:
+        """One tick of the supervisor."""
+        if d.operator:
+            self._file.add(OPERATOR, tick.OPERATOR, d.t, d.number, d.operator)
+        self._file.add(INPUTS, tick.INPUTS, d.t, d.number, d.inputs)
+        self._file.add(OUTPUTS, tick.OUTPUTS, d.t, d.number, d.outputs)
 
     def _begin(self, t: float) -> None:
         """What never changes, at the time of the first message."""

@@ -1,8 +1,8 @@
 """Records everything on the wire into one MCAP file, without ever slowing anybody down.
 
-A tap puts samples into a bounded queue, and so does the decision loop with what it decided; a thread
-compresses and writes them. When the disk cannot keep up, or fails, samples are dropped and counted,
-and one warning says so.
+A tap puts samples into a bounded queue, and so does whoever has decisions; a thread compresses and
+writes them. When disk or machine cannot keep up, or the disk fails, samples are dropped and counted,
+and one warning says so. `cell.record.recorder_process` runs one beside the decision loop.
 """
 
 from __future__ import annotations
@@ -10,15 +10,17 @@ from __future__ import annotations
 import logging
 import threading
 from collections import deque
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+import msgspec
+
 from cell.clock import WallClock
 from cell.config import CellConfig
 from cell.errors import CellError
-from cell.record.content import About, Content, Decision
+from cell.record.content import About, Content
+from cell.record.decision import CodedDecision
 from cell.record.mcap_writer import McapFile
 from cell.wire.service import Tapped
 from cell.wire.session import Session
@@ -31,8 +33,7 @@ _FLUSH_S = 0.5
 _SETTLE_S, _SETTLES = 0.2, 3
 
 
-@dataclass(frozen=True)
-class Counts:
+class Counts(msgspec.Struct, frozen=True):
     """What became of the samples.
 
     Attributes:
@@ -58,8 +59,7 @@ class Recorder:
         config: the cell, whose node must be running.
         path: where to; see `cell.record.mcap_writer.check_target`.
         max_waiting: bound on what waits for the disk [bytes].
-        about: what is recorded; needed for a replay.
-        lossless: see `Content`.
+        about, lossless: see `Content`.
         patient: `decided` waits for the disk instead of dropping: for lock-step, where time can wait.
 
     Raises:
@@ -79,7 +79,7 @@ class Recorder:
         self.path = Path(path)
         self._max_waiting, self._patient = max_waiting, patient
         self._file = McapFile(self.path)
-        self._queue: deque[tuple[Tapped | Decision, int]] = deque()
+        self._queue: deque[tuple[Tapped | CodedDecision, int]] = deque()
         self._waiting = 0
         self._written = self._dropped = self._missed = self._unknown = 0
         self._decisions = self._undecided = self._arrived = 0
@@ -111,7 +111,7 @@ class Recorder:
         """The disk refused; nothing has been recorded since."""
         return self._failed
 
-    def decided(self, decision: Decision) -> None:
+    def decided(self, decision: CodedDecision) -> None:
         """Take in one tick of the supervisor; only the patient recorder ever waits here."""
         with self._wake:
             while self._patient and not self._failed and self._waiting > self._max_waiting:
@@ -150,19 +150,19 @@ class Recorder:
             if not self._enqueue(sample, len(sample.payload)):
                 self._dropped += 1
 
-    def _enqueue(self, item: Tapped | Decision, size: int) -> bool:
+    def _enqueue(self, item: Tapped | CodedDecision, size: int) -> bool:
         """Put something into the queue, if it fits; the lock must be held."""
         if self._failed or (self._waiting + size > self._max_waiting and not self._patient):
             if not self._failed and not self._warned_slow:
                 self._warned_slow = True
-                _log.warning("recording %s: the disk is too slow; samples are being dropped", self.path)
+                _log.warning("recording %s: disk or machine is too slow; samples are dropped", self.path)
             return False
         self._queue.append((item, size))
         self._waiting += size
         self._wake.notify_all()
         return True
 
-    def _next(self, timeout: float) -> Tapped | Decision | None:
+    def _next(self, timeout: float) -> Tapped | CodedDecision | None:
         """What comes next; None when there is nothing within `timeout` [s] or at the end."""
         with self._wake:
             if not self._queue and not self._closing:
@@ -185,7 +185,7 @@ class Recorder:
         """Record no more. lost: samples and decisions that were written but are not in the file."""
         with self._wake:
             self._failed = True
-            decisions = sum(isinstance(item, Decision) for item, _ in self._queue)
+            decisions = sum(isinstance(item, CodedDecision) for item, _ in self._queue)
             self._dropped += len(self._queue) - decisions + lost[0]
             self._undecided += decisions + lost[1]
             self._queue.clear()
@@ -217,14 +217,10 @@ class Recorder:
         self._decisions += self._unflushed[1]
         self._unflushed = [0, 0]
 
-    def _write(self, item: Tapped | Decision) -> None:
-        if isinstance(item, Decision):
-            try:
-                self._content.decision(item)
-                self._unflushed[1] += 1
-            except CellError as error:
-                self._undecided += 1
-                _log.warning("recording %s: tick %d is left out: %s", self.path, item.number, error)
+    def _write(self, item: Tapped | CodedDecision) -> None:
+        if isinstance(item, CodedDecision):
+            self._content.decision(item)
+            self._unflushed[1] += 1
             return
         self._unflushed[0] += 1
         try:

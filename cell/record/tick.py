@@ -6,6 +6,7 @@ that `cell replay` can take the decision again.
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 from typing import Any
 
@@ -161,7 +162,7 @@ def _write(ros_type: str, message: Any) -> bytes:
     writer = cdr.Writer()
     try:
         writer.put(ros_type, message)
-    except (ValueError, TypeError, OverflowError) as error:
+    except (ValueError, TypeError, OverflowError, struct.error) as error:
         raise WireError(f"cannot record this tick: {error}") from error
     return writer.finish()
 

@@ -10,12 +10,10 @@ import threading
 from types import TracebackType
 from typing import Self
 
-from cell.child import end_child
+from cell.child import WARNING, end_child
 from cell.config import CellConfig, to_dict
 from cell.errors import CellError, WireError
 
-WARNING = "warning: "
-"""Lines of the node that begin like this are for the user at once."""
 _START_TIME = 60.0
 _END_TIME = 6.0
 """How long the node may take to serve, and to stop the arm and end [s]."""

@@ -13,9 +13,10 @@ from cell.decision.io import Inputs, Outputs
 from cell.decision.policy import PolicyTable, write
 from cell.perception.detector import shipped_weights
 from cell.perception.hands.tracker import HandTracker
-from cell.record.content import CONFIG_FILE, EYES, POLICY_FILE, About, Decision
+from cell.record.content import CONFIG_FILE, EYES, POLICY_FILE, About
+from cell.record.decision import Decision
 from cell.record.hand_tap import HandTap
-from cell.record.recorder import Recorder
+from cell.record.recorder_process import RecorderProcess
 from cell.version import code_version, commit, machine
 
 if TYPE_CHECKING:
@@ -53,7 +54,22 @@ def about(
     return About(facts, companion, holder, files)
 
 
-def tapped(recorder: Recorder, tap: HandTap | None, watch: Watcher | None) -> Watcher:
+def make_recorder(
+    config: CellConfig, policy: PolicyTable, options: RoundOptions, holder: str, companion: str
+) -> RecorderProcess | None:
+    """What records a round, if anything is to; it does not listen yet. companion: as for `about`."""
+    if options.record is None:
+        return None
+    return RecorderProcess(
+        config,
+        options.record,
+        about(config, policy, options, holder, companion),
+        lossless=options.record_lossless,
+        patient=options.lock_step,
+    )
+
+
+def tapped(recorder: RecorderProcess, tap: HandTap | None, watch: Watcher | None) -> Watcher:
     """A watcher that hands every tick to the recorder before `watch` sees it."""
     number = 0
 

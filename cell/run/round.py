@@ -27,12 +27,11 @@ from cell.motion.views import InspectionViews
 from cell.perception.detector import Detector
 from cell.perception.person import PersonEye
 from cell.record.hand_tap import HandTap
-from cell.record.recorder import Recorder
 from cell.run.desk import Desk
 from cell.run.link import Link, LiveLink, StepLink
 from cell.run.measure import Meter
 from cell.run.node_process import NodeProcess
-from cell.run.recording import about, hand_tap, tapped
+from cell.run.recording import hand_tap, make_recorder, tapped
 from cell.run.result import RoundResult, gesture_delay, judge, misplaced_by_human
 from cell.run.tell import publish
 from cell.version import code_version, commit
@@ -120,6 +119,10 @@ def run_round(
                 cameras=options.cameras,
             )
         )
+        other = "" if make_companion is None else make_companion.__name__
+        recorder = make_recorder(config, policy, options, HOLDER, other)
+        if recorder is not None:
+            stack.callback(recorder.close)
         # While the node builds its world, this process plans its inspection views.
         planner = Planner(config)
         views = InspectionViews(config)
@@ -138,16 +141,8 @@ def run_round(
         node.wait_ready()
         session = stack.enter_context(Session.connect(config, patient=options.lock_step))
         meter = Meter(session, config)
-        if options.record is not None:
-            other = "" if make_companion is None else make_companion.__name__
-            recorder = Recorder(
-                config,
-                options.record,
-                about=about(config, policy, options, HOLDER, other),
-                lossless=options.record_lossless,
-                patient=options.lock_step,
-            )
-            stack.callback(recorder.close)
+        if recorder is not None:
+            recorder.begin()
             watch = tapped(recorder, tap, watch)
         link: Link = (StepLink if options.lock_step else LiveLink)(session, config, HOLDER)
         stack.callback(link.close)
