@@ -39,6 +39,7 @@ from cell.view.controls import APART, ARMED, TwoClicks
 from cell.view.live import LiveSource
 from cell.view.moment import Moment
 from cell.view.onions import Perceived
+from cell.view.person import PersonFigure
 from cell.view.recorded import RecordedSource
 from cell.view.web import make_server, stop_server
 from cell.wire import codec
@@ -47,12 +48,15 @@ from cell.wire.keys import Keys
 from cell.wire.service import Tapped
 from cell.wire.session import Session
 from cell.wire.vocabulary import Action, Mode
+from hil.sim.backend import SimBackend
+from hil.sim.render.renderer import gl_problem
 from tests.rig import Rig, motion, reference
 from tests.test_cli import cell, free_port
 from tests.test_codec import examples, trajectory
 from tests.test_limits import HOME, move
 from tests.wire_helpers import own_port, until
 
+NO_GL = gl_problem()
 OF = {type(m): m for m in examples()}
 STATE: T.SupervisorState = OF[T.SupervisorState]  # type: ignore[assignment]
 
@@ -364,6 +368,38 @@ def _onion_in_view(p_WO: np.ndarray, radius: float) -> tuple[T.Frame, T.Box]:
 
 
 # -- what is said -----------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(bool(NO_GL), reason=NO_GL)
+def test_a_moving_arm_is_not_drawn_as_a_person() -> None:
+    """Frames come a while after their exposure, and the arm has moved on by then."""
+    config = reference()
+    backend = SimBackend(config, 1, 0, "")
+    backend.connect()
+    figure, points, drawn = PersonFigure(config), [], 0
+    newest: dict[str, T.Frame] = {}
+    under_way: list[T.Frame] = []
+    home = np.array(config.arm.home)
+    for k in range(500):
+        t = k * config.arm.control_period
+        swing = 0.5 * (1 - np.cos(2 * t))
+        backend.command_joints(home + np.array([0.5, -0.3, 0.3, 0, 0, 0]) * swing, np.zeros(6))
+        if k % 12 == 0:
+            backend.request_frame("person")
+        backend.advance()
+        under_way += backend.take_frames()
+        newest |= {frame.camera: frame for frame in under_way if frame.t < t - 0.25}
+        if k % 5:
+            continue
+        moment = Moment(
+            backend.now(), True, joints=backend.read_joints(), gripper=backend.read_gripper(), frames=newest
+        )
+        figure.note(moment, [])
+        if (seen := figure.update(moment)) is not None:
+            drawn += 1
+            points.append(len(seen.points))
+    backend.close()
+    assert drawn > 20 and max(points[1:]) <= 5, points
 
 
 def test_texts_of_the_wire_cannot_become_a_page_of_their_own() -> None:

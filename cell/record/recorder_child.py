@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 from contextlib import suppress
+from pathlib import Path
 from typing import BinaryIO
 
 import msgspec
@@ -23,8 +24,8 @@ from cell.record.decision import CodedDecision
 from cell.record.recorder import Recorder
 from cell.record.recorder_process import LENGTH_BYTES, Settings
 
-_NICE = 5
-"""Added to the priority in real time: the loop and the simulation come first."""
+_NICE = 10
+"""Added to the priority in real time."""
 _MOST = 64 * 1024 * 1024
 """Largest coded decision [bytes]."""
 
@@ -36,8 +37,7 @@ def main() -> int:
     try:
         settings = msgspec.json.decode(sys.stdin.buffer.readline(), type=Settings)
         if not settings.patient:
-            with suppress(OSError):
-                os.nice(_NICE)
+            _give_way()
         recorder = Recorder(
             from_dict(settings.config),
             settings.path,
@@ -57,6 +57,17 @@ def main() -> int:
         print(" ".join(str(error).split()), file=sys.stderr)
         return 2
     return 0
+
+
+def _give_way() -> None:
+    """Let what moves the arm come first, also where the system shares by sessions and not by processes.
+
+    Not altogether: whoever sends waits a few milliseconds for a receiver that does not listen.
+    """
+    with suppress(OSError):
+        os.nice(_NICE)
+    with suppress(OSError):
+        Path("/proc/self/autogroup").write_text(str(_NICE))
 
 
 def _take(stream: BinaryIO, recorder: Recorder) -> None:

@@ -1,8 +1,9 @@
 """A recorder in a process of its own, so that recording takes nothing from the decision loop but its data.
 
 The child taps the wire, compresses and writes; from here it gets only the decisions, coded by a thread.
-In real time it runs at a lower priority than the loop: on a machine that is too small for both, the
-recording has gaps, which are counted and told, and the loop goes on.
+In real time it comes after the others: on a machine that is too small for all, samples of the wire are
+missing, which is counted and told, and the loop goes on. Decisions wait here, coded, until the child
+takes them, so that a replay is complete nevertheless.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import logging
 import subprocess
 import sys
 import threading
-from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -22,6 +23,7 @@ import msgspec
 from cell.child import WARNING, end_child
 from cell.config import CellConfig, to_dict
 from cell.errors import CellError, WireError
+from cell.record.backlog import Backlog
 from cell.record.content import About
 from cell.record.decision import Decision, code, whole_frames
 from cell.record.recorder import MAX_WAITING, Counts
@@ -55,7 +57,8 @@ class RecorderProcess:
         config: the cell. path: where to; see `cell.record.mcap_writer.check_target`.
         about: what is recorded. lossless: keep every pixel of every camera for the replay.
         patient: `decided` waits for the disk instead of dropping: for lock-step, where time can wait.
-        max_waiting: bound on what waits in each of the two processes [bytes].
+        max_waiting: bound on the decisions that wait, on those that wait coded, and on what waits in the
+            child [bytes].
     """
 
     def __init__(
@@ -68,12 +71,13 @@ class RecorderProcess:
         patient: bool = False,
         max_waiting: int = MAX_WAITING,
     ) -> None:
-        self.path, self._patient, self._max_waiting = path, patient, max_waiting
+        self.path = path
         self._whole = whole_frames(config, lossless)
         self._settings = Settings(to_dict(config), str(path), about, lossless, patient, max_waiting)
-        self._queue: deque[Decision] = deque()
-        self._waiting = self._undecided = 0
-        self._closing = self._failed = self._warned_slow = False
+        self._decisions = Backlog[Decision](max_waiting, patient)
+        self._coded = Backlog[bytes](max_waiting, patient)
+        self._undecided = 0
+        self._warned = False
         self._words: list[str] = []
         self._said: list[str] = []
         self._wake = threading.Condition()
@@ -84,12 +88,10 @@ class RecorderProcess:
             stderr=subprocess.PIPE,
             start_new_session=True,
         )
-        self._threads = {
-            name: threading.Thread(target=work, name=name, daemon=True)
-            for name, work in (("warnings", self._warn), ("said", self._listen), ("decisions", self._run))
-        }
-        for name in ("warnings", "said"):
-            self._threads[name].start()
+        self._listeners = [_thread(self._warn), _thread(self._listen)]
+        self._workers = [_thread(self._code), _thread(self._pass_on)]
+        for thread in self._listeners:
+            thread.start()
 
     def begin(self) -> None:
         """Return when everything that is sent from now on is heard.
@@ -103,11 +105,12 @@ class RecorderProcess:
             self._process.stdin.flush()
         if self._answer(_START_TIME) != "ready":
             end_child(self._process, 1.0)
-            self._threads["warnings"].join(1.0)
+            self._listeners[0].join(1.0)
             if self._words:
                 raise CellError(self._words[-1])
             raise WireError(f"recording {self.path}: the recorder did not start within {_START_TIME:g} s")
-        self._threads["decisions"].start()
+        for thread in self._workers:
+            thread.start()
 
     @property
     def pid(self) -> int:
@@ -115,39 +118,27 @@ class RecorderProcess:
 
     def decided(self, decision: Decision) -> None:
         """Take in one tick of the supervisor; only the patient recorder ever waits here."""
-        with self._wake:
-            while self._patient and not self._failed and self._waiting > self._max_waiting:
-                self._wake.wait(1.0)
-            room = self._patient or self._waiting + decision.size <= self._max_waiting
-            if self._failed or not room:
-                self._undecided += 1
-                self._warn_slow()
-                return
-            self._queue.append(decision)
-            self._waiting += decision.size
-            self._wake.notify_all()
+        if not self._decisions.put(decision, decision.size):
+            self._fall_behind()
 
     def close(self) -> Counts:
         """Have everything that is under way written, the file finished, and return the counts.
 
         What takes longer than two minutes is given up; the file can be read all the same.
         """
-        with self._wake:
-            self._closing = True
-            self._wake.notify_all()
-        if self._threads["decisions"].is_alive():
-            self._threads["decisions"].join(_END_TIME)
+        self._decisions.finish()
+        for thread in self._workers:
+            if thread.is_alive():
+                thread.join(_END_TIME)
         end_child(self._process, _END_TIME)
-        for thread in self._threads.values():
+        for thread in (*self._workers, *self._listeners):
             if thread.is_alive():
                 thread.join(1.0)
-        with self._wake:
-            undecided = self._undecided + len(self._queue)
         try:
             counts = msgspec.json.decode(self._said[-1] if self._said else "", type=Counts)
         except msgspec.MsgspecError:
-            return Counts(undecided=undecided)
-        return msgspec.structs.replace(counts, undecided=counts.undecided + undecided)
+            return Counts(undecided=self._undecided)
+        return msgspec.structs.replace(counts, undecided=counts.undecided + self._undecided)
 
     def __enter__(self) -> Self:
         return self
@@ -161,13 +152,8 @@ class RecorderProcess:
 
     def _answer(self, patience: float) -> str:
         with self._wake:
-            self._wake.wait_for(lambda: self._said or not self._threads["said"].is_alive(), patience)
+            self._wake.wait_for(lambda: self._said or not self._listeners[1].is_alive(), patience)
             return self._said.pop(0) if self._said else ""
-
-    def _warn_slow(self) -> None:
-        if not self._failed and not self._warned_slow:
-            self._warned_slow = True
-            _log.warning("recording %s: disk or machine is too slow; a replay will end early", self.path)
 
     def _listen(self) -> None:
         assert self._process.stdout is not None
@@ -188,40 +174,46 @@ class RecorderProcess:
                 self._words.append(line)
                 del self._words[:-50]
 
-    def _next(self) -> Decision | None:
-        """What comes next, once it is there; None at the end."""
-        with self._wake:
-            self._wake.wait_for(lambda: self._queue or self._closing)
-            if not self._queue:
-                return None
-            decision = self._queue.popleft()
-            self._waiting -= decision.size
-            self._wake.notify_all()
-            return decision
-
-    def _run(self) -> None:
+    def _code(self) -> None:
         try:
-            while (decision := self._next()) is not None:
-                self._pass_on(decision)
+            while (decision := self._decisions.take()) is not None:
+                try:
+                    data = msgspec.msgpack.encode(code(decision, self._whole))
+                except CellError as error:
+                    self._lost(1)
+                    _log.warning("recording %s: tick %d is left out: %s", self.path, decision.number, error)
+                    continue
+                if not self._coded.put(data, len(data)):
+                    self._fall_behind()
+            self._coded.finish()
+        finally:  # nobody may wait for this thread any more
+            self._lost(self._decisions.abandon())
+
+    def _pass_on(self) -> None:
+        assert self._process.stdin is not None
+        try:
+            while (data := self._coded.take()) is not None:
+                self._process.stdin.write(len(data).to_bytes(LENGTH_BYTES, "big") + data)
+                self._process.stdin.flush()
         except (OSError, ValueError):  # it died, or was ended while it hung
-            self._undecided += 1
+            self._warned = True
             _log.warning(
                 "recording %s ended: its process is gone; the file can be read as far as it goes", self.path
             )
-        finally:  # nobody may wait for this thread any more
-            with self._wake:
-                self._failed = True
-                self._undecided += len(self._queue)
-                self._queue.clear()
-                self._wake.notify_all()
+            self._lost(1)
+        finally:
+            self._lost(self._coded.abandon())
 
-    def _pass_on(self, decision: Decision) -> None:
-        assert self._process.stdin is not None
-        try:
-            data = msgspec.msgpack.encode(code(decision, self._whole))
-        except CellError as error:
-            self._undecided += 1
-            _log.warning("recording %s: tick %d is left out: %s", self.path, decision.number, error)
-            return
-        self._process.stdin.write(len(data).to_bytes(LENGTH_BYTES, "big") + data)
-        self._process.stdin.flush()
+    def _fall_behind(self) -> None:
+        self._lost(1)
+        if not self._warned:
+            self._warned = True
+            _log.warning("recording %s: disk or machine is too slow; a replay will end early", self.path)
+
+    def _lost(self, decisions: int) -> None:
+        with self._wake:
+            self._undecided += decisions
+
+
+def _thread(work: Callable[[], None]) -> threading.Thread:
+    return threading.Thread(target=work, daemon=True)

@@ -84,6 +84,7 @@ class Page:
 
     def _show(self, moment: Moment) -> None:
         onions = self._perceived.update(moment)  # follows the hand, also while nobody looks
+        self._figure.note(moment, onions)
         self._keep_time(moment)
         if self._live is not None and self._show_truth is not None:
             watched = bool(self._server.get_clients())
@@ -99,7 +100,7 @@ class Page:
             self._words(moment)
         if self._due["pictures"].now(now):
             self._pictures(moment)
-            figure = self._figure.update(moment, onions)
+            figure = self._figure.update(moment)
             separation = np.inf if moment.state is None else moment.state.separation
             if figure is not None or not np.isfinite(separation):
                 self._scene.person(figure, separation)

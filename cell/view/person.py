@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from cell.view.onions import Onion
 
 _MOST = 3000
 """Most points that are drawn."""
+_REMEMBERED = 1.0
+"""A frame arrives at most so long after its exposure [s]."""
 
 
 @dataclass(frozen=True)
@@ -27,33 +30,71 @@ class Figure:
     line: Array | None
 
 
+@dataclass(frozen=True)
+class _Then:
+    """What a camera may see of the robot at t [s]: joints, width of the fingers, spheres (N, 4) of onions."""
+
+    t: float
+    q: Array
+    width: float | None
+    holding: bool
+    onions: Array
+
+
 class PersonFigure:
-    """Makes figures from frames of the person camera, by the rules of the measured separation."""
+    """Makes figures from frames of the person camera, by the rules of the measured separation.
+
+    A frame shows what was there at its exposure: arm and onions are remembered until it comes, or what
+    has just moved away would be drawn as a person.
+    """
 
     def __init__(self, config: CellConfig) -> None:
         self._separation = Separation(config)
         self._collision = CollisionModel(config)
         self._radius = 0.5 * config.onions.diameter[1]
         self._drawn = -1.0
+        self._past: deque[_Then] = deque()
 
-    def update(self, moment: Moment, onions: list[Onion]) -> Figure | None:
+    def note(self, moment: Moment, onions: list[Onion]) -> None:
+        """Remember where things are; frames of this moment come later."""
+        joints, gripper = moment.joints, moment.gripper
+        if joints is None or (self._past and joints.t == self._past[-1].t):
+            return
+        if self._past and not 0.0 < joints.t - self._past[-1].t < _REMEMBERED:  # another time of a recording
+            self._past.clear()
+        width = None if gripper is None else round(gripper.width, 2)
+        known = np.array([[*o.p_WO, o.radius] for o in onions]).reshape(-1, 4)
+        self._past.append(_Then(joints.t, joints.q, width, gripper is not None and gripper.holding, known))
+        while self._past[0].t < joints.t - _REMEMBERED:
+            self._past.popleft()
+
+    def update(self, moment: Moment) -> Figure | None:
         """The figure of a new frame; None when there is none."""
         frame = moment.frames.get("person")
-        if frame is None or moment.joints is None or frame.t == self._drawn:
+        if frame is None or not self._past or frame.t == self._drawn:
             return None
         self._drawn = frame.t
-        held = self._radius if moment.gripper is not None and moment.gripper.holding else 0.0
-        width = None if moment.gripper is None else round(moment.gripper.width, 2)
-        p, r, _ = self._collision.spheres(moment.joints.q[None], width=width, held_radius=held)
+        then = self._then(frame.t)
+        p, r, _ = self._collision.spheres(
+            then.q[None], width=then.width, held_radius=self._radius if then.holding else 0.0
+        )
         arm = np.column_stack([p[0], r])
-        known = np.array([[*o.p_WO, o.radius] for o in onions]).reshape(-1, 4)
-        cloud = self._separation.look(frame, arm, known)
+        cloud = self._separation.look(frame, arm, then.onions)
         points = cloud.p_WP
         distance, nearest = cloud.distance(arm)
         line = None if not np.isfinite(distance) else np.stack([_surface(arm, nearest), nearest])
         if len(points) > _MOST:
             points = points[np.linspace(0, len(points) - 1, _MOST).astype(int)]
         return Figure(points, self._colours(points, frame.rgb), line)
+
+    def _then(self, t: float) -> _Then:
+        """As it was at `t` [s]: the joints between two moments, the rest as at the nearer one."""
+        after = next((s for s in self._past if s.t >= t), self._past[-1])
+        before = next((s for s in reversed(self._past) if s.t <= t), self._past[0])
+        if after.t <= before.t:
+            return before
+        share = (t - before.t) / (after.t - before.t)
+        return replace(before if share < 0.5 else after, q=before.q + share * (after.q - before.q))
 
     def _colours(self, points: Array, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
         scene = self._separation.scene
