@@ -25,8 +25,10 @@ from cell.decision import policy
 from cell.decision.io import Inputs, Outputs
 from cell.decision.supervisor import Supervisor
 from cell.errors import DecodeError, WireError
-from cell.frames import look_at
+from cell.frames import Array, look_at
 from cell.limits import tcp_positions
+from cell.motion.collision import CollisionModel
+from cell.perception.separation import Cloud, Separation
 from cell.record import tick
 from cell.record.content import About, Content
 from cell.record.decision import Decision, code, whole_frames
@@ -38,7 +40,7 @@ from cell.view import drawing, words
 from cell.view.controls import APART, ARMED, TwoClicks
 from cell.view.live import LiveSource
 from cell.view.moment import Moment
-from cell.view.onions import Perceived
+from cell.view.onions import Onion, Perceived
 from cell.view.person import PersonFigure
 from cell.view.recorded import RecordedSource
 from cell.view.web import make_server, stop_server
@@ -48,15 +50,12 @@ from cell.wire.keys import Keys
 from cell.wire.service import Tapped
 from cell.wire.session import Session
 from cell.wire.vocabulary import Action, Mode
-from hil.sim.backend import SimBackend
-from hil.sim.render.renderer import gl_problem
 from tests.rig import Rig, motion, reference
 from tests.test_cli import cell, free_port
 from tests.test_codec import examples, trajectory
 from tests.test_limits import HOME, move
 from tests.wire_helpers import own_port, until
 
-NO_GL = gl_problem()
 OF = {type(m): m for m in examples()}
 STATE: T.SupervisorState = OF[T.SupervisorState]  # type: ignore[assignment]
 
@@ -370,36 +369,40 @@ def _onion_in_view(p_WO: np.ndarray, radius: float) -> tuple[T.Frame, T.Box]:
 # -- what is said -----------------------------------------------------------------------------------
 
 
-@pytest.mark.skipif(bool(NO_GL), reason=NO_GL)
-def test_a_moving_arm_is_not_drawn_as_a_person() -> None:
-    """Frames come a while after their exposure, and the arm has moved on by then."""
+def test_a_frame_is_drawn_beside_the_arm_and_the_onions_of_its_exposure(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It comes a while later; what has just been lifted or moved away would be drawn as a person."""
     config = reference()
-    backend = SimBackend(config, 1, 0, "")
-    backend.connect()
-    figure, points, drawn = PersonFigure(config), [], 0
-    newest: dict[str, T.Frame] = {}
-    under_way: list[T.Frame] = []
-    home = np.array(config.arm.home)
-    for k in range(500):
-        t = k * config.arm.control_period
-        swing = 0.5 * (1 - np.cos(2 * t))
-        backend.command_joints(home + np.array([0.5, -0.3, 0.3, 0, 0, 0]) * swing, np.zeros(6))
-        if k % 12 == 0:
-            backend.request_frame("person")
-        backend.advance()
-        under_way += backend.take_frames()
-        newest |= {frame.camera: frame for frame in under_way if frame.t < t - 0.25}
-        if k % 5:
-            continue
+    shown: list[tuple[T.Frame, Array, Array]] = []
+
+    def look(self: Separation, frame: T.Frame, arm: Array, onions: Array) -> Cloud:
+        shown.append((frame, arm, onions))
+        return Cloud(frame.t, np.zeros((0, 3)), np.zeros(0), 1.0)
+
+    monkeypatch.setattr(Separation, "look", look)
+    figure = PersonFigure(config)
+    home, lifted_at = np.array(config.arm.home), 2.0
+    onion = Onion(np.array([0.1, 0.5, 0.1]), 0.03, "")
+    rgb, depth = np.zeros((480, 640, 3), np.uint8), np.zeros((480, 640), np.float32)
+    for t in np.arange(0.0, 4.0, 0.1):
+        held = bool(t >= lifted_at)
         moment = Moment(
-            backend.now(), True, joints=backend.read_joints(), gripper=backend.read_gripper(), frames=newest
+            float(t),
+            True,
+            joints=T.JointState(float(t), home + 0.5 * t, np.full(6, 0.5), np.zeros(6)),
+            gripper=T.GripperState(float(t), 0.05, 0.05, False, held),
+            frames={"person": T.Frame("person", round(t * 10), float(t) - 0.23, rgb, depth)},
         )
-        figure.note(moment, [])
-        if (seen := figure.update(moment)) is not None:
-            drawn += 1
-            points.append(len(seen.points))
-    backend.close()
-    assert drawn > 20 and max(points[1:]) <= 5, points
+        figure.note(moment, [] if held else [onion])
+        figure.update(moment)
+    collision = CollisionModel(config)
+    for frame, arm, onions in shown[3:]:
+        held = frame.t >= lifted_at - 0.05
+        radius = 0.5 * config.onions.diameter[1] if held else 0.0
+        p, r, _ = collision.spheres((home + 0.5 * frame.t)[None], width=0.05, held_radius=radius)
+        assert np.allclose(arm, np.column_stack([p[0], r])) and len(onions) == (not held)
+    assert len(shown) == 40
 
 
 def test_texts_of_the_wire_cannot_become_a_page_of_their_own() -> None:
