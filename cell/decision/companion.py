@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -15,6 +15,7 @@ from cell.decision.io import Inputs
 from cell.decision.modes import Sensed
 from cell.frames import Array
 from cell.motion.collision import CollisionModel
+from cell.motion.past import state_at
 from cell.perception.hands.gesture import Gesture
 from cell.perception.human_action import HumanActions
 from cell.perception.person import PersonView
@@ -112,17 +113,7 @@ class Companion:
 
     def _look(self, frame: Frame, onions: Array) -> PersonView:
         """A frame, beside the arm as it was at the exposure."""
-        return self._eye.look(frame, self._arm(self._then(frame.t)), onions, self._actions.full)
-
-    def _then(self, t: float) -> _Then:
-        """The arm at `t` [s], between two ticks: a fast one leaves its own outline within 20 ms."""
-        after = next((s for s in self._past if s.t >= t), self._past[-1])
-        before = next((s for s in reversed(self._past) if s.t <= t), self._past[0])
-        if after.t <= before.t:
-            return before
-        share = (t - before.t) / (after.t - before.t)
-        nearer = before if share < 0.5 else after
-        return replace(nearer, t=t, q=before.q + share * (after.q - before.q))
+        return self._eye.look(frame, self._arm(state_at(self._past, frame.t)), onions, self._actions.full)
 
     def _observe(self) -> None:
         """Feed the belief when the person's action has changed, and as often as events come in the domain."""

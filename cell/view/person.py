@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cell.config import CellConfig
 from cell.frames import Array
 from cell.motion.collision import CollisionModel
+from cell.motion.past import state_at
 from cell.perception.separation import Separation
 from cell.view.moment import Moment
 from cell.view.onions import Onion
@@ -74,7 +75,7 @@ class PersonFigure:
         if frame is None or not self._past or frame.t == self._drawn:
             return None
         self._drawn = frame.t
-        then = self._then(frame.t)
+        then = state_at(self._past, frame.t)
         p, r, _ = self._collision.spheres(
             then.q[None], width=then.width, held_radius=self._radius if then.holding else 0.0
         )
@@ -86,15 +87,6 @@ class PersonFigure:
         if len(points) > _MOST:
             points = points[np.linspace(0, len(points) - 1, _MOST).astype(int)]
         return Figure(points, self._colours(points, frame.rgb), line)
-
-    def _then(self, t: float) -> _Then:
-        """As it was at `t` [s]: the joints between two moments, the rest as at the nearer one."""
-        after = next((s for s in self._past if s.t >= t), self._past[-1])
-        before = next((s for s in reversed(self._past) if s.t <= t), self._past[0])
-        if after.t <= before.t:
-            return before
-        share = (t - before.t) / (after.t - before.t)
-        return replace(before if share < 0.5 else after, q=before.q + share * (after.q - before.q))
 
     def _colours(self, points: Array, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
         scene = self._separation.scene
