@@ -143,6 +143,7 @@ def emulate(
     running: Annotated[bool, typer.Option("--running/--powered-off", help="State at the start.")] = True,
     bare: Annotated[bool, typer.Option("--bare", help="No cell around the arm.")] = False,
     linked: Annotated[bool, typer.Option("--linked", help="End when standard input closes.")] = False,
+    programs: Annotated[Path | None, typer.Option(help="Folder of what the dashboard can load.")] = None,
     config: Annotated[Path | None, typer.Option(help="Cell description laid over the shipped one.")] = None,
 ) -> None:
     """Run an emulated UR controller on its true ports, for tests without a robot (docs/emulator.md)."""
@@ -150,7 +151,9 @@ def emulate(
     from hil.emulator.run import EmulateOptions, emulate
 
     who = "" if persona == "none" else persona
-    options = EmulateOptions(listen, model, seed, onions, who, tuple(fault or ()), running, bare, linked)
+    options = EmulateOptions(
+        listen, model, seed, onions, who, tuple(fault or ()), running, bare, linked, programs
+    )
     emulate(load(config), options, lambda line: print(f"cell: {line}", flush=True))
 
 

@@ -11,7 +11,7 @@ from hil.emulator.urscript.urcap import PORT, UrCap
 
 _EXTERNAL = re.compile(r"^def\s+(\w+)\s*\(\s*\)\s*:", re.MULTILINE)
 _COMMANDS = re.compile(r"\A(?:\s*(?:stop program|set robotmode run)[ \t]*\r?\n)+")
-_MAX_TEXT = 4_000_000
+MAX_TEXT = 4_000_000
 _URCAP = re.compile(r"\A\s*external_control\(\s*\"([^\"]+)\"\s*(?:,\s*(\d{1,5})\s*)?\)\s*\Z")
 """What stands for a program with the External Control URCap's node, which has no text of its own."""
 
@@ -29,8 +29,8 @@ def recognise(text: str, peer: str) -> Program:
         BackendError: saying what in the text cannot be run.
     """
     del peer
-    if len(text) > _MAX_TEXT:
-        raise BackendError(f"a script may have {_MAX_TEXT} characters, got {len(text)}")
+    if len(text) > MAX_TEXT:
+        raise BackendError(f"a script may have {MAX_TEXT} characters, got {len(text)}")
     text = _COMMANDS.sub("", text.lstrip("\ufeff"))
     if urcap := _URCAP.match(text):
         return UrCap("external_control.urp", urcap[1], int(urcap[2] or PORT))

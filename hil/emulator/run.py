@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType
 
 from cell.clock import WallClock, perf_s
@@ -23,6 +24,7 @@ from hil.emulator.models import Model, model
 from hil.emulator.mover import Mover
 from hil.emulator.plant import IdealPlant, WorldPlant
 from hil.emulator.programs import recognise
+from hil.emulator.shelf import Shelf
 from hil.emulator.surroundings import Surroundings
 from hil.emulator.world_link import WORLD_PORT
 from hil.real_time import ask_for_real_time
@@ -48,6 +50,7 @@ class EmulateOptions:
         running: power on, release the brakes, before it is said to be ready.
         bare: no cell around the arm, no physics.
         linked: standard input belongs to the program that started it; its end is the emulator's, too.
+        programs: folder of what the dashboard can load; see `Shelf`.
     """
 
     listen: str = "127.0.0.2"
@@ -59,6 +62,7 @@ class EmulateOptions:
     running: bool = True
     bare: bool = False
     linked: bool = False
+    programs: Path | None = None
 
 
 def emulate(config: CellConfig, options: EmulateOptions, say: Callable[[str], None]) -> None:
@@ -73,6 +77,7 @@ def emulate(config: CellConfig, options: EmulateOptions, say: Callable[[str], No
     check_surroundings(options.seed, options.onions, options.persona)
     check_address(options.listen)
     arm, faults = model(options.model), make_faults(options.faults, options.seed)
+    shelf = Shelf(options.programs)
     bare = options.bare or options.model != "ur3e"  # the simulated cell is built around a UR3e
     with ExitStack() as stack:
         told = stack.enter_context(_told_to_end(options.linked))
@@ -86,7 +91,7 @@ def emulate(config: CellConfig, options: EmulateOptions, say: Callable[[str], No
             plant = WorldPlant(config, surroundings.exchange)
         emulator = Emulator(
             options.listen, arm, plant, mover=Mover(arm), recognise=recognise, gripper=plant.gripper,
-            faults=faults, power_up=options.running,
+            faults=faults, find=shelf, power_up=options.running,
         )  # fmt: skip
         stack.callback(emulator.stop)
         emulator.start()

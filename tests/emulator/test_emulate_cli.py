@@ -118,6 +118,25 @@ def test_an_arm_with_faults_to_come_is_powered_up_before_it_is_said_to_be_ready(
         ends(process, signal.SIGTERM)
 
 
+def test_programs_are_loaded_from_a_folder(tmp_path: Path) -> None:
+    address = "127.0.0.45"
+    (tmp_path / "wait.urp").write_text("def wait():\n  sleep(600)\nend\n")
+    (tmp_path / "loop.urp").write_text("while True:\n  sync()\nend\n")
+    (tmp_path.parent / "outside.urp").write_text("sleep(1)\n")
+    with emulator(address, "--bare", "--programs", tmp_path) as (process, _):
+        assert dashboard(address, "load /programs/wait.urp", "play")[1] == "Starting program"
+        end = perf_s() + END_TIME
+        while dashboard(address, "running") != ["Program running: true"]:
+            assert perf_s() < end
+        assert dashboard(address, "pause", "stop") == ["Pausing program", "Stopped"]
+        assert dashboard(address, "load external_control.urp") == ["Loading program: external_control.urp"]
+        for name in ("loop.urp", "none.urp", "../outside.urp", str(tmp_path), "."):
+            assert dashboard(address, f"load {name}") == [f"File not found: {name}"]
+        process.send_signal(signal.SIGTERM)
+        out, err = process.communicate(timeout=END_TIME + 5.0)
+        assert "programs with control flow cannot be run" in out + err
+
+
 @pytest.mark.skipif(bool(NO_GL), reason=NO_GL)
 def test_a_killed_emulator_takes_its_child_along() -> None:
     with emulator("127.0.0.49", "--onions", 1, "--persona", "none") as (process, line):
@@ -140,6 +159,7 @@ def test_a_killed_emulator_takes_its_child_along() -> None:
         (["--persona", "zoe"], "persona 'zoe' is unknown; legal values: none, ana, "),
         (["--onions", "16"], "onions must be from 0 to 15, got 16"),
         (["--seed", "-1"], "seed must be from 0 to 2^63 - 1, got -1"),
+        (["--programs", "/nowhere"], "--programs: there is no folder '/nowhere'"),
         (["--fault", "boom"], "--fault: got 'boom'; legal values: delay, drop, "),
     ],
 )

@@ -77,6 +77,7 @@ def test_the_state_has_all_parts_in_full(emulator: Emulator) -> None:
             5: 220,  # kinematics
             6: 440,  # configuration
         }
+        assert struct.unpack(">I", found[5][-4:]) == (2,)  # calibrated, as clients ask for it
         modes = struct.unpack_from(">Q7?bB3d", found[0])
         assert modes[1:8] == (True, True, True, False, False, False, False)
         assert modes[8] == RobotMode.RUNNING and modes[10:] == (1.0, 1.0, 1.0)

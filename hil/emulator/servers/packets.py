@@ -24,7 +24,8 @@ _DEFAULTS = (1.05, 1.4, 0.25, 1.2)
 """Defaults of move commands: joint speed and acceleration, tool speed and acceleration."""
 _TOOL_LENGTH = 1.0
 """Equivalent radius [m]."""
-_CALIBRATED = 0
+_UNCALIBRATED, _CALIBRATED = 0, 2
+"""Nothing is known of the arm before there is power on it; afterwards its table holds ("linearised")."""
 _BOX = 3
 _E_SERIES = 1
 
@@ -155,7 +156,7 @@ def _kinematics_info(c: Controller) -> bytes:
     tables = [[0.0] * 6, model.a.tolist(), model.d.tolist(), model.alpha.tolist()]
     sums = [zlib.crc32(struct.pack(">4d", *(table[i] for table in tables))) for i in range(len(model.a))]
     content = struct.pack(">6I", *sums) + b"".join(struct.pack(">6d", *table) for table in tables)
-    return _part(5, content + struct.pack(">I", _CALIBRATED))
+    return _part(5, content + struct.pack(">I", _CALIBRATED if c.power.on else _UNCALIBRATED))
 
 
 def _configuration_data(c: Controller) -> bytes:
