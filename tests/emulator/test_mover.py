@@ -90,6 +90,21 @@ def test_movel_is_straight_at_its_speed(seed: int) -> None:
     assert r.slip() < 1e-5
 
 
+def test_a_straight_move_is_slower_where_a_joint_is_at_its_limit() -> None:
+    """PolyScope's manual: a program's speed is adjusted so that no joint passes its limit."""
+    r = robot()
+    target = shifted(r, 0.3)
+    r.mover.movel(target, 2.0, 15.0)
+    r.rest()
+    assert not r.mover.trouble and off(r, target) < 1e-9
+    shares = np.abs(np.array(r.qd)) / UR3E.qd_max
+    limited = shares.max(axis=1) > 0.999
+    assert shares.max() <= 1.0 and limited.sum() > 20
+    p = tool_path(r)[:, :3]
+    assert np.ptp(p[:, 1:], axis=0).max() < 1e-6
+    assert np.abs(np.diff(p[:, 0], n=2)).max() / PERIOD**2 <= 15.0 * (1 + 1e-2)  # no jerk of the tool
+
+
 def test_a_move_of_given_duration_takes_it() -> None:
     r = robot()
     r.mover.movej(HOME + 0.5, 1.05, 1.4, t=2.0)

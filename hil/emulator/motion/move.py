@@ -20,10 +20,13 @@ _AT_REST = 1e-9
 _BLUNT = 1e-3
 _FAR = 0.2
 """A joint that has to jump this far within a cycle is at a singularity [rad]."""
+_TRIES = 4
+_MARGIN = 0.9995
+"""Of the joints' limits, where the path's speed is adjusted to them."""
 
 
 class Move(Generic[T]):
-    """Follows one run by a clock of its own, which the speed slider and a brake slow down.
+    """Follows one run by a clock of its own, slowed down by the speed slider, a brake and the joints' limits.
 
     Args:
         tool: TCP in the flange.
@@ -63,6 +66,19 @@ class Move(Generic[T]):
 
     def step(self, q: list[float], qd: list[float], scaling: float) -> Step:
         rate = scaling if self._brake is None else self._braked(qd, scaling)
+        t, before, part = self._t, self._rate, self._part
+        out = self._moved(rate, q, qd)
+        for _ in range(_TRIES):
+            over = max(abs(v) / m for v, m in zip(out[1], self._kinematics.qd_max, strict=True))
+            if over <= 1.0:
+                break
+            rate *= _MARGIN / over
+            self._t, self._rate, self._part = t, before, part
+            out = self._moved(rate, q, qd)
+        return out
+
+    def _moved(self, rate: float, q: list[float], qd: list[float]) -> Step:
+        """After another cycle, at the end of which the clock runs at `rate`."""
         self._t += 0.5 * DT * (self._rate + rate)
         self._rate = rate
         self._s, speed = self._run.law.at(self._t)
