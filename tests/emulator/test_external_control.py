@@ -184,6 +184,15 @@ def test_a_time_out_of_0_waits_for_ever_and_a_lost_connection_ends_it() -> None:
         c.real(lambda: not c.robot.running)
 
 
+def test_a_client_that_writes_without_a_pause_does_not_hold_up_the_controller() -> None:
+    with client() as c:
+        keepalive = struct.pack(">8i", 200, *[0] * 6, Mode.IDLE)
+        c._deliver("reverse", keepalive * 1000 + struct.pack(">8i", 200, *[0] * 6, Mode.STOPPED))
+        c.robot.tick(5)
+        assert c.robot.running  # most of it is still to be read
+        c.robot.until(lambda: not c.robot.running, 0.1)
+
+
 def test_servoing_follows_and_goes_on_through_a_gap() -> None:
     with client() as c:
         v = np.array([0.3, 0, 0, 0, 0, 0.2])

@@ -209,6 +209,19 @@ def test_an_inner_end_is_not_the_end() -> None:
     assert len(split_script(buffer, 0.06)) == 1
 
 
+def test_programs_sent_in_one_go_are_two() -> None:
+    first = "sec a():\n  if True:  # why\n    x = 1\n  end\nend\n\n"
+    buffer = bytearray((first + SWEEP).encode())
+    assert split_script(buffer, 0.0) == [first.encode()]
+    assert split_script(buffer, 0.06) == [SWEEP.encode()]
+
+
+def test_a_function_within_a_program_begins_no_other() -> None:
+    text = b"def a():\ndef helper():\n  x = 1\nend\ndef other():\n  x = 2\nend\nhelper()\nend\n"
+    buffer = bytearray(text)
+    assert split_script(buffer, 0.04) == [] and split_script(buffer, 0.06) == [text]
+
+
 def test_single_lines_need_no_silence() -> None:
     buffer = bytearray(b"stop program\nset robotmode run\n# a comment\n" + SWEEP.encode())
     assert split_script(buffer, 0.0) == [b"stop program", b"set robotmode run"]

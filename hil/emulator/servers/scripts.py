@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 from cell.errors import DecodeError
 from hil.emulator.controller import Controller
 
+_HEADS = (b"def ", b"sec ")
+_OPENS = re.compile(rb"(?:def|sec|thread|if|while|for|switch)\b.*:\s*(?:#.*)?\Z")
+_CLOSES = re.compile(rb"end\s*(?:#.*)?\Z")
 _MAX_TEXT = 4_000_000
 _QUIET = 0.05
 """A program's last line is "end", and nothing follows for this long [s]."""
@@ -25,8 +30,12 @@ def split_script(buffer: bytearray, quiet: float) -> list[bytes]:
         raise DecodeError(f"a script may have {_MAX_TEXT} bytes")
     messages = []
     while buffer:
-        start = _first_line(buffer)
-        if buffer[start:].startswith((b"def ", b"sec ")):
+        start = _first_line(buffer, 0)
+        if buffer.startswith(_HEADS, start):
+            if end := _next_program(buffer, start):
+                messages.append(bytes(buffer[:end]))
+                del buffer[:end]
+                continue
             ends = buffer.rstrip().endswith(b"end")
             if quiet < (_QUIET if ends else _PATIENCE):
                 break
@@ -44,9 +53,25 @@ def split_script(buffer: bytearray, quiet: float) -> list[bytes]:
     return [message for message in messages if message.strip()]
 
 
-def _first_line(buffer: bytearray) -> int:
-    """Where the first line starts that is neither empty nor a comment."""
-    at = 0
+def _next_program(buffer: bytearray, start: int) -> int:
+    """Where a program that follows the one at `start` begins, not indented; 0: none surely does."""
+    if all(buffer.find(b"\n" + head, start) < 0 for head in _HEADS):
+        return 0
+    depth, at = 0, start
+    while (end := buffer.find(b"\n", at)) >= 0:
+        line, at = bytes(buffer[at:end]).strip(), end + 1
+        if _OPENS.match(line):
+            depth += 1
+        elif _CLOSES.match(line):
+            depth -= 1
+            if depth <= 0:
+                after = _first_line(buffer, at)
+                return after if buffer[after - 1 : after] == b"\n" and buffer.startswith(_HEADS, after) else 0
+    return 0
+
+
+def _first_line(buffer: bytearray, at: int) -> int:
+    """Where the first line from `at` on starts that is neither empty nor a comment."""
     while at < len(buffer):
         end = buffer.find(b"\n", at)
         line = buffer[at:] if end < 0 else buffer[at:end]

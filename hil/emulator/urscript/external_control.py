@@ -20,7 +20,8 @@ from hil.emulator.urscript.external_trajectory import STREAMED
 from hil.emulator.urscript.link import Link
 from hil.emulator.urscript.robot import Wait, retreat, stop
 
-_INTEGERS = 8
+_INTEGERS, _AT_ONCE = 8, 64
+"""Of a message, and messages that one cycle has time for; more stay in the socket."""
 _ATTEMPTS, _PAUSE = 5, 0.2
 _OPENING = 0.02
 """Time that opening a socket takes [s]."""
@@ -85,10 +86,14 @@ class ExternalControl:
         if not (yield from _connect(s)):
             return
         s.robot.message("ExternalControl: External control active")
-        timeout, since = 0.0, s.robot.now
+        timeout, since, taken = 0.0, s.robot.now, 0
         while s.mode > Mode.STOPPED:
+            if taken == _AT_ONCE:  # a client that writes without a pause does not hold up the controller
+                taken = 0
+                yield
             message = s.reverse.integers(_INTEGERS)
             if message is None:
+                taken = 0
                 if s.reverse.lost or (timeout > 0.0 and s.robot.now - since > timeout):
                     s.robot.message(
                         "Socket timed out waiting for command on reverse_socket. The script will exit now.", 2
@@ -96,9 +101,9 @@ class ExternalControl:
                     break
                 yield
                 continue
-            timeout = message[0] / 1000.0
+            timeout, taken = message[0] / 1000.0, taken + 1
             yield from self._take(s, message)
-            if s.contact and s.mode != Mode.TOOL_IN_CONTACT:
+            if taken == 1 and s.contact and s.mode != Mode.TOOL_IN_CONTACT:
                 yield from self._watch_contact(s)
             since = s.robot.now
         self._moving = self._trajectory = None
