@@ -45,10 +45,13 @@ class Shelf:
 
     def _file(self, name: str) -> Path | None:
         """A file of the folder or below it, nothing that a name could climb to."""
-        if self._folder is None or "\0" in name:
+        if self._folder is None:
             return None
-        file = (self._folder / name).resolve()
-        return file if file.is_relative_to(self._folder) and file.is_file() else None
+        try:
+            file = (self._folder / name).resolve()
+            return file if file.is_relative_to(self._folder) and file.is_file() else None
+        except (OSError, ValueError, RuntimeError):  # no name that a file can have
+            return None
 
 
 def _text(file: Path) -> str:

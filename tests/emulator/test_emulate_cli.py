@@ -130,7 +130,7 @@ def test_programs_are_loaded_from_a_folder(tmp_path: Path) -> None:
             assert perf_s() < end
         assert dashboard(address, "pause", "stop") == ["Pausing program", "Stopped"]
         assert dashboard(address, "load external_control.urp") == ["Loading program: external_control.urp"]
-        for name in ("loop.urp", "none.urp", "../outside.urp", str(tmp_path), "."):
+        for name in ("loop.urp", "none.urp", "../outside.urp", str(tmp_path), ".", "a\0b", "x" * 3000):
             assert dashboard(address, f"load {name}") == [f"File not found: {name}"]
         process.send_signal(signal.SIGTERM)
         out, err = process.communicate(timeout=END_TIME + 5.0)

@@ -160,12 +160,12 @@ def test_texts_reach_the_clients(emulator: Emulator) -> None:
     raw.ask(Kind.OUTPUTS, codec.encode_outputs(500, ["timestamp"]))
     raw.socket.sendall(codec.frame(Kind.START))
     assert raw.next()[0] == Kind.START
-    emulator.do(lambda c: c.message("nothing to worry about", 3))
     emulator.do(lambda c: c.message("something to know", 2))
+    emulator.do(lambda c: c.message("something is wrong", 1))
     kind, payload = raw.next()
     while kind == Kind.DATA:
         kind, payload = raw.next()
-    assert codec.decode_text(payload) == ("something to know", "Controller", 2)
+    assert codec.decode_text(payload) == ("something is wrong", "Controller", 1)
     raw.socket.close()
 
 

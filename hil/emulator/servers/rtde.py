@@ -21,7 +21,7 @@ _log = logging.getLogger("hil.emulator")
 _MAX_RATE = 1.0 / PERIOD
 _MAX_RECIPES = 255
 _SOURCE = "Controller"
-_WARNING = 2
+_ERROR = 1
 
 
 class RtdeServer:
@@ -72,9 +72,9 @@ class RtdeServer:
         self._owners = {name: owner for name, owner in self._owners.items() if owner is not speaker}
 
     def _tell(self, text: str, level: int) -> None:
-        """Warnings and errors to those who receive: a client amid its set-up expects answers only."""
+        """Errors, to those who receive data: during its set-up a client expects answers, and later data."""
         for speaker in self._speakers:
-            if speaker.started and level <= _WARNING:
+            if speaker.started and level <= _ERROR:
                 speaker.tell(text, level)
 
 
