@@ -194,7 +194,7 @@ def test_set_points_are_followed_within_the_lag(backend: Backend) -> None:
         measured.append(backend.read_joints().q)
     s, m = np.array(sent), np.array(measured)
     latest = int(np.ceil(CONFIG.arm.lag / PERIOD)) + (4 if real(backend) else 1)  # two processes more
-    share = 0.98 if real(backend) else 1.0  # a busy machine delays a real cycle now and then
+    share = 0.9 if real(backend) else 1.0  # a busy machine delays a real cycle now and then
     gaps = (np.abs(m[k:] - s[: len(s) - k]).max(axis=1) for k in range(latest + 1))
     best = min(float(np.quantile(gap, share)) for gap in gaps)
     assert best < 0.008  # some delay up to the lag explains the measured joints
