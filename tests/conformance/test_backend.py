@@ -19,7 +19,7 @@ from cell.clock import perf_s
 from cell.config import CellConfig, load
 from cell.errors import CellError, ConfigError, RefusedError
 from cell.frames import Array
-from cell.wire.types import Frame
+from cell.wire.types import Frame, Trajectory
 from hil.backend import Backend, NeedsArming, make_backend
 from hil.executor import Executor
 from tests.emulated import emulated_backend, end, patient
@@ -179,11 +179,11 @@ def test_measurements_carry_the_time_they_were_taken(backend: Backend) -> None:
 # -- arm -----------------------------------------------------------------------------------------------
 
 
-def test_set_points_are_followed_within_the_lag(backend: Backend) -> None:
-    order = CLEAR
-    executor = Executor(LIMITS, PERIOD, HOME)
+def gap_within_the_lag(backend: Backend, order: Trajectory) -> float:
+    """How far the measured joints are from the set-points of some time up to the lag before [rad]."""
+    executor = Executor(LIMITS, PERIOD, order.q[0])
     executor.accept(order, 0.0, backend.read_joints().q)
-    sent, measured = [HOME], [backend.read_joints().q]
+    sent, measured = [order.q[0]], [backend.read_joints().q]
     settle = 60
     while executor.moving or settle:
         settle -= not executor.moving
@@ -193,12 +193,18 @@ def test_set_points_are_followed_within_the_lag(backend: Backend) -> None:
         sent.append(q.copy())
         measured.append(backend.read_joints().q)
     s, m = np.array(sent), np.array(measured)
-    latest = int(np.ceil(CONFIG.arm.lag / PERIOD)) + (4 if real(backend) else 1)  # two processes more
-    share = 0.9 if real(backend) else 1.0  # a busy machine delays a real cycle now and then
-    gaps = (np.abs(m[k:] - s[: len(s) - k]).max(axis=1) for k in range(latest + 1))
-    best = min(float(np.quantile(gap, share)) for gap in gaps)
-    assert best < 0.008  # some delay up to the lag explains the measured joints
     assert np.abs(m[-1] - order.q[-1]).max() < 2e-3
+    latest = int(np.ceil(CONFIG.arm.lag / PERIOD)) + (4 if real(backend) else 1)  # two processes more
+    share = 0.98 if real(backend) else 1.0  # a busy machine delays a real cycle now and then
+    gaps = (np.abs(m[k:] - s[: len(s) - k]).max(axis=1) for k in range(latest + 1))
+    return min(float(np.quantile(gap, share)) for gap in gaps)
+
+
+def test_set_points_are_followed_within_the_lag(backend: Backend) -> None:
+    orders = [CLEAR]
+    if real(backend):  # one that a busy machine kept from its cycles catches up slowly: it may try again
+        orders += [move(CLEAR.q[-1], HOME, 1.0), CLEAR]
+    assert any(gap_within_the_lag(backend, order) < 0.008 for order in orders)
     joints = backend.read_joints()
     assert np.abs(joints.qd).max() < 0.01
     for values in (joints.q, joints.qd, joints.effort):
