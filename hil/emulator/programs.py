@@ -7,7 +7,7 @@ import re
 from cell.errors import BackendError
 from hil.emulator.interfaces import Program
 from hil.emulator.urscript import external_control, program, rtde_control
-from hil.emulator.urscript.urcap import PORT, UrCap
+from hil.emulator.urscript.urcap import EXTERNAL_CONTROL, PORT, UrCap
 
 _EXTERNAL = re.compile(r"^def\s+(\w+)\s*\(\s*\)\s*:", re.MULTILINE)
 _COMMANDS = re.compile(r"\A(?:\s*(?:stop program|set robotmode run)[ \t]*\r?\n)+")
@@ -33,7 +33,7 @@ def recognise(text: str, peer: str) -> Program:
         raise BackendError(f"a script may have {MAX_TEXT} characters, got {len(text)}")
     text = _COMMANDS.sub("", text.lstrip("\ufeff"))
     if urcap := _URCAP.match(text):
-        return UrCap("external_control.urp", urcap[1], int(urcap[2] or PORT))
+        return UrCap(EXTERNAL_CONTROL, urcap[1], int(urcap[2] or PORT))
     if rtde_control.HEAD.search(text):
         return rtde_control.read(text)
     if '"reverse_socket"' in text:

@@ -7,16 +7,16 @@ from pathlib import Path
 from cell.errors import BackendError, ConfigError
 from hil.emulator.interfaces import Program
 from hil.emulator.programs import MAX_TEXT, recognise
-from hil.emulator.urscript.urcap import UrCap
+from hil.emulator.urscript.urcap import EXTERNAL_CONTROL, UrCap
 
-EXTERNAL_CONTROL = "external_control.urp"
-"""Always there: one node of the External Control URCap, set to the host that loads it."""
 _ROOT = "/programs/"
 """Where a controller keeps them; clients may name it or leave it out."""
 
 
 class Shelf:
     """Finds programs by name: `(name, host of the client) -> program`.
+
+    One is always there: a node of the External Control URCap, set to the host that loads it.
 
     Args:
         folder: files of URScript text, called what `load` calls them; None: no such programs.

@@ -8,6 +8,8 @@ from hil.emulator.urscript.external_control import ExternalControl, read
 from hil.emulator.urscript.link import Link
 from hil.emulator.urscript.robot import Wait
 
+EXTERNAL_CONTROL = "external_control.urp"
+"""Name of a file that holds one node of the URCap and nothing else."""
 PORT = 50002
 """Where the Client Library's script sender listens."""
 _REQUEST = b"request_program\n"
