@@ -6,11 +6,11 @@ import re
 
 from cell.errors import DecodeError
 from hil.emulator.controller import Controller
+from hil.emulator.programs import MAX_TEXT
 
 _HEADS = (b"def ", b"sec ")
 _OPENS = re.compile(rb"(?:def|sec|thread|if|while|for|switch)\b.*:\s*(?:#.*)?\Z")
 _CLOSES = re.compile(rb"end\s*(?:#.*)?\Z")
-_MAX_TEXT = 4_000_000
 _QUIET = 0.05
 """A program's last line is "end", and nothing follows for this long [s]."""
 _PATIENCE = 1.0
@@ -26,8 +26,8 @@ def split_script(buffer: bytearray, quiet: float) -> list[bytes]:
     Raises:
         DecodeError: too long for a script.
     """
-    if len(buffer) > _MAX_TEXT:
-        raise DecodeError(f"a script may have {_MAX_TEXT} bytes")
+    if len(buffer) > MAX_TEXT:
+        raise DecodeError(f"a script may have {MAX_TEXT} bytes")
     messages = []
     while buffer:
         start = _first_line(buffer, 0)
