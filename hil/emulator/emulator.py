@@ -102,6 +102,7 @@ class Emulator:
             find=find,
             power_up=power_up,
         )
+        self._born = 0.0
         self._loop: Loop | None = None
         self._thread: threading.Thread | None = None
         self._gripper_server: RobotiqServer | None = None
@@ -125,7 +126,7 @@ class Emulator:
             loop.run()  # frees what it has got
             raise
         self.ports = Ports(**found)
-        self._loop = loop
+        self._loop, self._born = loop, self._clock.now()
         self._thread = threading.Thread(target=self._run, args=(loop,), name="controller", daemon=True)
         self._thread.start()
 
@@ -200,12 +201,13 @@ class Emulator:
 
     def _cycle(self) -> float:
         start = self._clock.now()
-        late = self._faults.before_cycle(self.controller, self.controller.now)
+        now = start - self._born  # not the controller's time, which a slow controller stretches
+        late = self._faults.before_cycle(self.controller, now)
         self.controller.tick()
         if late > 0.0:
             self._clock.sleep_until(start + late)  # a slow controller serves nobody meanwhile
         self.controller.execution_time = self._clock.now() - start
-        return self.controller.now
+        return now
 
 
 def _ask_for_real_time() -> None:

@@ -102,7 +102,11 @@ class Faults(Protocol):
         ...
 
     def before_cycle(self, panel: Panel, now: float) -> float:
-        """May press buttons, trigger stops. Returns how long the cycle takes too long [s]."""
+        """May press buttons, trigger stops. Returns how long the cycle takes too long [s].
+
+        Args:
+            now: time since the controller's start by the machine's clock [s].
+        """
         ...
 
     def refuse(self, server: Server, peer: str) -> bool:

@@ -222,15 +222,26 @@ def wait_for(condition: Callable[[], object]) -> None:
 
 
 def test_a_planned_stop_on_a_running_controller() -> None:
+    began = perf_s()
     with running("protective_stop:at=2") as emulator:
         wait_for(lambda: emulator.do(lambda c: c.safety_mode) is SafetyMode.PROTECTIVE_STOP)
-        assert emulator.do(lambda c: c.now) >= 2.0
+        assert perf_s() - began >= 2.0
+
+
+def test_a_slow_controller_is_so_for_the_time_that_was_asked_for() -> None:
+    """Not for as many cycles as fit into it: 250 of them would take 25 s."""
+    with running("slow:for=0.5,by=0.1") as emulator:
+        wait_for(lambda: emulator.do(lambda c: c.cycles) >= 500)
+        cycles, left_out = emulator.timing
+        assert left_out >= 100, "it was never slow"
+        assert cycles + left_out < 5000, "it was slow for far too long"
 
 
 def test_a_planned_cut_of_a_running_server() -> None:
     with running("cut:port=dashboard,at=1.5") as emulator:
+        began = perf_s()
         with socket.create_connection(("127.0.0.44", emulator.ports.dashboard), 5.0) as sock:
-            if emulator.do(lambda c: c.now) > 1.4:
+            if perf_s() - began > 1.4:
                 pytest.skip("the machine was too busy to connect in time")
             sock.settimeout(20.0)
             assert sock.recv(100).startswith(b"Connected")

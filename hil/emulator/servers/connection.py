@@ -187,7 +187,7 @@ class Connection:
         """Deliver what faults held back, let the speaker speak, mind the slow reader.
 
         Args:
-            now: the controller's time [s], for the faults.
+            now: time since the controller's start [s], for the faults.
         """
         self._now = now
         if self._faults is not None:

@@ -43,7 +43,7 @@ class Loop:
     """Runs `cycle` every `period` and serves sockets in between.
 
     Args:
-        cycle: one cycle of the controller; returns its time [s].
+        cycle: one cycle of the controller; returns the time since its start [s], for the faults.
         period: [s].
 
     Attributes:
